@@ -1,0 +1,40 @@
+# Two commands carry a newcomer: `make demo` and `make test`. Each sets everything up in .venv by itself.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+
+.DEFAULT_GOAL := help
+.PHONY: help demo test lint types contracts wheel-check clean
+
+help:  ## what can be made
+	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 16
+
+$(VENV)/installed: pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
+	  || { echo "ViAn needs Python 3.11 or newer, got $$($(PYTHON) --version). Next: make PYTHON=python3.11 $(MAKECMDGOALS)"; exit 2; }
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --upgrade "pip>=25.1"
+	$(BIN)/python -m pip install --quiet --editable . --group dev
+	@touch $@
+
+demo: $(VENV)/installed  ## real video to events, situations, an answer in SQL and a second log
+	$(BIN)/vian demo
+
+test: $(VENV)/installed  ## the whole test suite on a real PostgreSQL
+	$(BIN)/python -m pytest --cov --cov-report=term $(PYTEST_ARGS)
+
+lint: $(VENV)/installed  ## ruff, format included
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+types: $(VENV)/installed  ## mypy, strict
+	$(BIN)/mypy
+
+contracts: $(VENV)/installed  ## import contracts between the packages
+	$(BIN)/lint-imports
+
+wheel-check: $(VENV)/installed  ## the built wheel in an empty environment, run from /
+	PYTHON=$(PYTHON) .ci/wheel-check
+
+clean:  ## remove the environment and what tools left behind
+	rm -rf $(VENV) dist .coverage .coverage.* .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis

@@ -1,0 +1,85 @@
+"""The language: what can have happened.
+
+Event types, their catalogue, their columns, and the segment that holds a batch of them. This
+package imports none of ViAn's others, knows no database and no network.
+"""
+
+from events.catalogue import SHIPPED, Catalogue, load_catalogue
+from events.columns import EventBatch, batch_of, batch_of_type, events_of, schema_of, with_envelope
+from events.errors import CorruptSegment, EventError, InvalidEvent, InvalidName, UnknownType
+from events.media import VideoAdded
+from events.model import EventType, Float32, JsonText, Part, PersonalBytes, PersonalText, UtcTime
+from events.motion import ActivityInterval, TrackEnded, TrackPoint
+from events.names import Source, Station, StreamName, TypeName, source_name, station_name, type_name
+from events.segment import (
+    GENESIS,
+    Draft,
+    Header,
+    Position,
+    Producer,
+    Segment,
+    Sequence,
+    chain,
+    decode,
+    encode,
+    header_bytes,
+    parse_header,
+)
+from events.situations import MatchedRange, RuleDeployed, SituationDetected
+from events.stations import SyncPlanned
+from events.work import ProcessFailed, ProcessFinished, ProcessProgressed, ProcessStarted
+
+__all__ = [
+    "GENESIS",
+    "SHIPPED",
+    "ActivityInterval",
+    "Catalogue",
+    "CorruptSegment",
+    "Draft",
+    "EventBatch",
+    "EventError",
+    "EventType",
+    "Float32",
+    "Header",
+    "InvalidEvent",
+    "InvalidName",
+    "JsonText",
+    "MatchedRange",
+    "Part",
+    "PersonalBytes",
+    "PersonalText",
+    "Position",
+    "ProcessFailed",
+    "ProcessFinished",
+    "ProcessProgressed",
+    "ProcessStarted",
+    "Producer",
+    "RuleDeployed",
+    "Segment",
+    "Sequence",
+    "SituationDetected",
+    "Source",
+    "Station",
+    "StreamName",
+    "SyncPlanned",
+    "TrackEnded",
+    "TrackPoint",
+    "TypeName",
+    "UnknownType",
+    "UtcTime",
+    "VideoAdded",
+    "batch_of",
+    "batch_of_type",
+    "chain",
+    "decode",
+    "encode",
+    "events_of",
+    "header_bytes",
+    "load_catalogue",
+    "parse_header",
+    "schema_of",
+    "source_name",
+    "station_name",
+    "type_name",
+    "with_envelope",
+]

@@ -1,0 +1,28 @@
+"""Media: which videos a source has."""
+
+from typing import Annotated
+
+from pydantic import Field
+
+from events.model import EventType, UtcTime
+
+
+class VideoAdded(EventType, type="video_added", version=1, subject="video"):
+    """A recorded video became known as footage of a source."""
+
+    video: str
+    """name of the video: SHA-256 of its bytes in hexadecimal"""
+    path: str
+    """where it was when it was added; for people, not a key"""
+    width: Annotated[int, Field(gt=0)]
+    """width of a frame, px"""
+    height: Annotated[int, Field(gt=0)]
+    """height of a frame, px"""
+    fps: float | None
+    """nominal frames per second of the container, 1/s; null where it has none"""
+    frames_expected: int | None
+    """frames that the container announces; null where it does not say"""
+    codec: str
+    """codec of the video stream, as the decoder names it"""
+    started_at: UtcTime
+    """wall-clock time of the first frame (UTC)"""

@@ -1,0 +1,117 @@
+"""What one event type is: the base class of the catalogue's types and the markers of their fields.
+
+Contract: a type is one frozen pydantic model. Its Arrow schema (`events.columns`) and its row
+table (`store.projections`) derive from it, so a type is written down once. A type's version never
+changes after release; the next version is another class.
+
+A field's docstring gives unit, range and frame; it becomes the comment of the table's column.
+"""
+
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Annotated, Any, ClassVar
+
+import pyarrow as pa
+from pydantic import AfterValidator, AwareDatetime, BaseModel, ConfigDict, WithJsonSchema
+
+from events.errors import InvalidEvent
+from events.names import TypeName, type_name
+
+ENVELOPE = ("id", "station", "source", "type", "subject", "time", "sequence", "position", "recorded_at")
+"""The envelope's names, as in CloudEvents and the log; no payload field but `time` may bear one."""
+
+
+@dataclass(frozen=True, slots=True)
+class Stored:
+    """How a field is stored where its Python type does not say it."""
+
+    arrow: pa.DataType
+    is_json: bool = False
+    is_personal: bool = False
+
+
+def _utc(time: datetime) -> datetime:
+    return time.astimezone(UTC)
+
+
+UtcTime = Annotated[AwareDatetime, AfterValidator(_utc)]
+"""An aware instant, kept in UTC with microseconds."""
+
+Float32 = Annotated[float, Stored(pa.float32())]
+"""A number for which 24 bits of mantissa are enough: pixels, scores."""
+
+JsonText = Annotated[
+    str,
+    Stored(pa.string(), is_json=True),
+    WithJsonSchema({"type": "string", "contentMediaType": "application/json"}),
+]
+"""JSON as text; a `jsonb` column in the row table."""
+
+PersonalText = Annotated[str, Stored(pa.string(), is_personal=True)]
+"""Text about a person (a number plate), which a later version may store encrypted."""
+
+PersonalBytes = Annotated[bytes, Stored(pa.binary(), is_personal=True)]
+"""Bytes about a person (a descriptor of looks), which a later version may store encrypted."""
+
+
+class EventType(BaseModel):
+    """One thing that can have happened.
+
+    A subclass names itself in its class statement, and says which of its fields is the subject
+    that the event is about (a track, a process, a rule):
+
+        class TrackEnded(EventType, type="track_ended", version=1, subject="track_id"): ...
+    """
+
+    model_config = ConfigDict(
+        frozen=True, extra="forbid", use_attribute_docstrings=True, ser_json_inf_nan="strings"
+    )
+
+    type_name: ClassVar[TypeName]
+    version: ClassVar[int]
+    subject_field: ClassVar[str | None]
+
+    time: UtcTime
+    """when it happened (UTC, microseconds)"""
+
+    def __init_subclass__(
+        cls,
+        *,
+        type: str,  # noqa: A002 - the envelope's own word
+        version: int,
+        subject: str | None = None,
+        **kwargs: Any,
+    ) -> None:
+        """Keep the names given in the class statement."""
+        super().__init_subclass__(**kwargs)
+        cls.type_name, cls.version, cls.subject_field = type_name(type), version, subject
+
+    @classmethod
+    def __pydantic_init_subclass__(cls, **_: Any) -> None:
+        """Check the finished class.
+
+        Raises:
+            InvalidEvent: A field bears an envelope's name, or the subject is no field.
+        """
+        taken = [name for name in cls.model_fields if name in ENVELOPE and name != "time"]
+        if taken:
+            raise InvalidEvent(
+                f"{cls.type_name}: the envelope already has {', '.join(taken)}; rename these fields"
+            )
+        if cls.version < 1:
+            raise InvalidEvent(f"{cls.type_name}: a version is 1 or more, got {cls.version}")
+        if cls.subject_field is not None and cls.subject_field not in cls.model_fields:
+            raise InvalidEvent(
+                f"{cls.type_name}: subject must be a field of the type, got {cls.subject_field!r}"
+            )
+
+
+class Part(BaseModel):
+    """A structure inside an event's field, for example one matched range of a situation."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
+
+
+def stored(metadata: list[Any]) -> Stored | None:
+    """The `Stored` marker among a field's metadata, if there is one."""
+    return next((m for m in metadata if isinstance(m, Stored)), None)
