@@ -9,6 +9,7 @@ from collections.abc import Iterable, Iterator
 from importlib.metadata import entry_points
 from typing import Self
 
+from events.columns import schema_of
 from events.errors import UnknownType
 from events.media import VideoAdded
 from events.model import EventType
@@ -34,11 +35,17 @@ ENTRY_POINT_GROUP = "vian.events"
 
 
 class Catalogue:
-    """Event types by name and version."""
+    """Event types by name and version.
+
+    Raises:
+        UnknownType: Two different types bear one name and version.
+        InvalidEvent: A type has a field for which there is no column.
+    """
 
     def __init__(self, types: Iterable[type[EventType]]) -> None:
         self._versions: dict[str, dict[int, type[EventType]]] = {}
         for event_type in types:
+            schema_of(event_type)
             versions = self._versions.setdefault(event_type.type_name, {})
             if versions.setdefault(event_type.version, event_type) is not event_type:
                 raise UnknownType(
@@ -91,14 +98,20 @@ def load_catalogue() -> Catalogue:
     """ViAn's own types and those of installed plug-ins.
 
     Raises:
-        UnknownType: A plug-in's entry point is not an event type, or defines one that exists.
+        UnknownType: A plug-in's entry point does not load, is not an event type, or defines one that
+            exists.
+        InvalidEvent: A plug-in's type has a field for which there is no column.
     """
     plugged: list[type[EventType]] = []
     for entry in entry_points(group=ENTRY_POINT_GROUP):
-        loaded = entry.load()
-        if not (isinstance(loaded, type) and issubclass(loaded, EventType)):
+        try:
+            loaded = entry.load()
+        except Exception as error:
             raise UnknownType(
-                f"entry point {entry.name} of {ENTRY_POINT_GROUP} must be an EventType, got {loaded!r}"
-            )
+                f"entry point {entry.name} of {ENTRY_POINT_GROUP} ({entry.value}) does not load: {error}. "
+                "Next: repair or uninstall the distribution that brings it"
+            ) from error
+        if not (isinstance(loaded, type) and issubclass(loaded, EventType) and loaded is not EventType):
+            raise UnknownType(f"entry point {entry.name} of {ENTRY_POINT_GROUP} must be an EventType, got {loaded!r}")
         plugged.append(loaded)
     return Catalogue([*SHIPPED, *plugged])

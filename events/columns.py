@@ -12,8 +12,9 @@ from functools import cache
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, Self, TypeVar, Union, get_args, get_origin
 
+import numpy as np
 import pyarrow as pa
-from pydantic import AwareDatetime
+from pydantic import AwareDatetime, ValidationError
 from pydantic.fields import FieldInfo
 
 from events.errors import InvalidEvent
@@ -47,18 +48,15 @@ class EventBatch:
         if not self.data.schema.equals(wanted, check_metadata=False):
             raise InvalidEvent(f"{self.type.type_name}: {_difference(self.data.schema, wanted)}")
         for field, column in zip(wanted, self.data.columns, strict=True):
-            if column.null_count and not field.nullable:
-                raise InvalidEvent(
-                    f"{self.type.type_name}.{field.name} must not be null, got {column.null_count} nulls"
-                )
+            _check_nulls(f"{self.type.type_name}.{field.name}", field, column)
 
     def __len__(self) -> int:
         return int(self.data.num_rows)
 
     def slice(self, start: int, stop: int | None = None) -> Self:
-        """The events from `start` up to but not including `stop`."""
-        end = len(self) if stop is None else stop
-        return type(self)(self.type, self.data.slice(start, end - start))
+        """The events from `start` up to but not including `stop`, as Python slices a list."""
+        kept = range(len(self))[start:stop]
+        return type(self)(self.type, self.data.slice(kept.start, len(kept)))
 
 
 @cache
@@ -71,25 +69,40 @@ def batch_of(events: Sequence[E]) -> EventBatch:
     """The events, one or more of one type, as a batch.
 
     Raises:
-        InvalidEvent: There are none, or they are of several types.
+        InvalidEvent: There are none, they are of several types, or a value does not fit its column.
     """
     kinds = {type(event) for event in events}
     if len(kinds) != 1:
-        raise InvalidEvent(
-            f"a batch holds one or more events of one type, got {len(events)} of {len(kinds)} types"
-        )
+        raise InvalidEvent(f"a batch holds one or more events of one type, got {len(events)} of {len(kinds)} types")
     return batch_of_type(kinds.pop(), events)
 
 
 def batch_of_type(event_type: type[E], events: Sequence[E]) -> EventBatch:
-    """The events, perhaps none, as a batch of this type."""
+    """The events, perhaps none, as a batch of this type.
+
+    Raises:
+        InvalidEvent: One is of another type, or a value does not fit its column.
+    """
+    strangers = {type(event) for event in events} - {event_type}
+    if strangers:
+        names = ", ".join(sorted(kind.__name__ for kind in strangers))
+        raise InvalidEvent(f"a batch of {event_type.__name__} holds nothing else, got {names}")
     rows = [event.model_dump() for event in events]
-    return EventBatch(event_type, pa.RecordBatch.from_pylist(rows, schema=schema_of(event_type)))
+    schema = schema_of(event_type)
+    columns = [_column(event_type, field, [row[field.name] for row in rows]) for field in schema]
+    return EventBatch(event_type, pa.RecordBatch.from_arrays(columns, schema=schema))
 
 
 def events_of(batch: EventBatch) -> list[EventType]:
-    """The batch's events as models, validated."""
-    return [batch.type.model_validate(row) for row in batch.data.to_pylist()]
+    """The batch's events as models, validated.
+
+    Raises:
+        InvalidEvent: A value is one that the type's definition does not allow.
+    """
+    try:
+        return [batch.type.model_validate(row) for row in batch.data.to_pylist()]
+    except (ValidationError, ValueError, OverflowError) as error:
+        raise InvalidEvent(f"{batch.type.type_name}: {error}") from error
 
 
 def with_envelope(stream: StreamName, first_sequence: int, batch: EventBatch) -> pa.RecordBatch:
@@ -100,11 +113,9 @@ def with_envelope(stream: StreamName, first_sequence: int, batch: EventBatch) ->
         "source": _repeated(stream.source, count),
         "type": _repeated(stream.type, count),
         "subject": subject_of(batch),
-        "sequence": pa.array(range(first_sequence, first_sequence + count), pa.int64()),
+        "sequence": pa.array(np.arange(first_sequence, first_sequence + count, dtype=np.int64)),
     }
-    return pa.RecordBatch.from_arrays(
-        [*front.values(), *batch.data.columns], names=[*front, *batch.data.schema.names]
-    )
+    return pa.RecordBatch.from_arrays([*front.values(), *batch.data.columns], names=[*front, *batch.data.schema.names])
 
 
 def subject_of(batch: EventBatch) -> pa.Array:
@@ -112,6 +123,24 @@ def subject_of(batch: EventBatch) -> pa.Array:
     if batch.type.subject_field is None:
         return pa.nulls(len(batch), pa.string())
     return batch.data.column(batch.type.subject_field).cast(pa.string())
+
+
+def _column(event_type: type[EventType], field: pa.Field, values: list[Any]) -> pa.Array:
+    try:
+        return pa.array(values, field.type)
+    except (pa.ArrowException, OverflowError, UnicodeEncodeError) as error:
+        raise InvalidEvent(
+            f"{event_type.type_name}.{field.name}: a value does not fit a column of {field.type}: {error}"
+        ) from error
+
+
+def _check_nulls(path: str, field: pa.Field, column: pa.Array) -> None:
+    if column.null_count and not field.nullable:
+        raise InvalidEvent(f"{path} must not be null, got {column.null_count} nulls")
+    if pa.types.is_list(field.type):
+        parts = column.flatten()
+        for part, values in zip(field.type.value_type, parts.flatten(), strict=True):
+            _check_nulls(f"{path}.{part.name}", part, values)
 
 
 def _repeated(text: str, count: int) -> pa.Array:
@@ -142,9 +171,7 @@ def _arrow_type(name: str, annotation: Any) -> pa.DataType:
         return pa.string()
     if origin is tuple and len(arguments) == 2 and arguments[1] is ... and _is_part(arguments[0]):
         return pa.list_(pa.struct([_arrow_field(n, i) for n, i in arguments[0].model_fields.items()]))
-    raise InvalidEvent(
-        f"field {name}: no column type for {annotation}; wanted bool, int, float, str, bytes, datetime"
-    )
+    raise InvalidEvent(f"field {name}: no column type for {annotation}; wanted bool, int, float, str, bytes, datetime")
 
 
 def _is_part(annotation: Any) -> bool:
@@ -159,16 +186,19 @@ def _without_none(annotation: Any) -> tuple[Any, bool]:
 
 
 def _difference(got: pa.Schema, wanted: pa.Schema) -> str:
+    if len(set(got.names)) < len(got.names):
+        return f"each column must be there once, got {', '.join(got.names)}"
     missing = [f.name for f in wanted if f.name not in got.names]
     unknown = [n for n in got.names if n not in wanted.names]
     if missing or unknown:
         return f"columns missing: {', '.join(missing) or 'none'}; unknown: {', '.join(unknown) or 'none'}"
     wrong = [
-        f"{f.name} is {got.field(f.name).type}, wanted {f.type}"
+        f"{f.name} is {_kind(got.field(f.name))}, wanted {_kind(f)}"
         for f in wanted
-        if got.field(f.name).type != f.type
+        if _kind(got.field(f.name)) != _kind(f)
     ]
-    return (
-        "; ".join(wrong)
-        or f"columns must be in the order {', '.join(wanted.names)}; got {', '.join(got.names)}"
-    )
+    return "; ".join(wrong) or f"columns must be in the order {', '.join(wanted.names)}; got {', '.join(got.names)}"
+
+
+def _kind(field: pa.Field) -> str:
+    return f"{field.type}{'' if field.nullable else ' not null'}"

@@ -7,12 +7,14 @@ changes after release; the next version is another class.
 A field's docstring gives unit, range and frame; it becomes the comment of the table's column.
 """
 
+import struct
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Annotated, Any, ClassVar
 
 import pyarrow as pa
 from pydantic import AfterValidator, AwareDatetime, BaseModel, ConfigDict, WithJsonSchema
+from pydantic_core import from_json
 
 from events.errors import InvalidEvent
 from events.names import TypeName, type_name
@@ -31,21 +33,38 @@ class Stored:
 
 
 def _utc(time: datetime) -> datetime:
-    return time.astimezone(UTC)
+    try:
+        return time.astimezone(UTC).replace(fold=0)
+    except OverflowError as error:
+        raise ValueError(f"time must lie in the years 1 to 9999 of UTC, got {time.isoformat()}") from error
+
+
+def _float32(number: float) -> float:
+    try:
+        (nearest,) = struct.unpack("<f", struct.pack("<f", number))
+    except OverflowError as error:
+        raise ValueError(f"must fit a float of 32 bits, got {number}") from error
+    return float(nearest)
+
+
+def _json(text: str) -> str:
+    from_json(text, allow_inf_nan=False)
+    return text
 
 
 UtcTime = Annotated[AwareDatetime, AfterValidator(_utc)]
 """An aware instant, kept in UTC with microseconds."""
 
-Float32 = Annotated[float, Stored(pa.float32())]
-"""A number for which 24 bits of mantissa are enough: pixels, scores."""
+Float32 = Annotated[float, Stored(pa.float32()), AfterValidator(_float32)]
+"""A number for which 24 bits of mantissa are enough (pixels, scores), rounded to them."""
 
 JsonText = Annotated[
     str,
     Stored(pa.string(), is_json=True),
+    AfterValidator(_json),
     WithJsonSchema({"type": "string", "contentMediaType": "application/json"}),
 ]
-"""JSON as text; a `jsonb` column in the row table."""
+"""JSON (RFC 8259, so without NaN) as text; a `jsonb` column in the row table."""
 
 PersonalText = Annotated[str, Stored(pa.string(), is_personal=True)]
 """Text about a person (a number plate), which a later version may store encrypted."""
@@ -63,9 +82,7 @@ class EventType(BaseModel):
         class TrackEnded(EventType, type="track_ended", version=1, subject="track_id"): ...
     """
 
-    model_config = ConfigDict(
-        frozen=True, extra="forbid", use_attribute_docstrings=True, ser_json_inf_nan="strings"
-    )
+    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True, ser_json_inf_nan="strings")
 
     type_name: ClassVar[TypeName]
     version: ClassVar[int]
@@ -91,19 +108,18 @@ class EventType(BaseModel):
         """Check the finished class.
 
         Raises:
-            InvalidEvent: A field bears an envelope's name, or the subject is no field.
+            InvalidEvent: A field bears an envelope's name, `time` is defined anew, or the subject is no
+                field.
         """
         taken = [name for name in cls.model_fields if name in ENVELOPE and name != "time"]
         if taken:
-            raise InvalidEvent(
-                f"{cls.type_name}: the envelope already has {', '.join(taken)}; rename these fields"
-            )
+            raise InvalidEvent(f"{cls.type_name}: the envelope already has {', '.join(taken)}; rename these fields")
+        if cls.model_fields["time"].annotation is not EventType.model_fields["time"].annotation:
+            raise InvalidEvent(f"{cls.type_name}: time belongs to the envelope and cannot be defined anew")
         if cls.version < 1:
             raise InvalidEvent(f"{cls.type_name}: a version is 1 or more, got {cls.version}")
         if cls.subject_field is not None and cls.subject_field not in cls.model_fields:
-            raise InvalidEvent(
-                f"{cls.type_name}: subject must be a field of the type, got {cls.subject_field!r}"
-            )
+            raise InvalidEvent(f"{cls.type_name}: subject must be a field of the type, got {cls.subject_field!r}")
 
 
 class Part(BaseModel):

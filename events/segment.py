@@ -16,13 +16,14 @@ from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from typing import NewType
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 import zstandard
 
 from events.catalogue import Catalogue
-from events.columns import EventBatch, schema_of
-from events.errors import CorruptSegment, InvalidEvent
+from events.columns import TIMESTAMP, EventBatch, schema_of
+from events.errors import CorruptSegment, InvalidEvent, InvalidName
 from events.names import StreamName
 
 Sequence = NewType("Sequence", int)
@@ -35,6 +36,7 @@ PAYLOAD_MAX_BYTES = 64 * 1024 * 1024
 
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _ZSTD_LEVEL = 3
+_INT32_MAX, _INT64_MAX = 2**31 - 1, 2**63 - 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +51,11 @@ class Producer:
     def __post_init__(self) -> None:
         if len(self.configuration_hash) != 32:
             raise InvalidEvent(f"configuration_hash must have 32 bytes, got {len(self.configuration_hash)}")
+        for text in (self.name, self.version):
+            if not text.isprintable():
+                raise InvalidEvent(f"a producer's name and version must be printable, got {text[:100]!r}")
+            if len(text.encode()) > 0xFFFF:
+                raise InvalidEvent(f"a producer's name and version have at most 65535 bytes, got {len(text.encode())}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +74,11 @@ class Draft:
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """What a segment says of itself; all of it is hashed."""
+    """What a segment says of itself; all of it is hashed.
+
+    Raises:
+        InvalidEvent: A number is one that no log can hold, or the times are naive or in the wrong order.
+    """
 
     stream: StreamName
     epoch: int
@@ -77,6 +88,22 @@ class Header:
     time_min: datetime
     time_max: datetime
     producer: Producer
+
+    def __post_init__(self) -> None:
+        self._check("epoch", self.epoch, 0, _INT32_MAX)
+        self._check("event_count", self.event_count, 1, _INT32_MAX)
+        self._check("schema_version", self.schema_version, 1, _INT32_MAX)
+        self._check("first_sequence", self.first_sequence, 0, _INT64_MAX + 1 - self.event_count)
+        if self.time_min.tzinfo is None or self.time_max.tzinfo is None:
+            raise InvalidEvent(f"{self.stream}: time_min and time_max must be aware, got naive ones")
+        if self.time_min > self.time_max:
+            raise InvalidEvent(
+                f"{self.stream}: time_min must not be after time_max, got {self.time_min} and {self.time_max}"
+            )
+
+    def _check(self, name: str, number: int, least: int, most: int) -> None:
+        if not least <= number <= most:
+            raise InvalidEvent(f"{self.stream}: {name} must be {least} to {most}, got {number}")
 
     @property
     def last_sequence(self) -> Sequence:
@@ -105,21 +132,22 @@ def encode(stream: StreamName, batch: EventBatch, producer: Producer) -> Draft:
     """The batch as a draft of the stream's next segment.
 
     Raises:
-        InvalidEvent: The batch is not of the stream's type, is empty, or a time lies outside the
-            years 1 to 9999.
+        InvalidEvent: The batch is not of the stream's type, is empty or too large, holds text that is not
+            UTF-8, or a time outside the years 1 to 9999.
     """
     if batch.type.type_name != stream.type:
         raise InvalidEvent(f"stream {stream} takes {stream.type}, got a batch of {batch.type.type_name}")
     if not len(batch):
         raise InvalidEvent(f"stream {stream}: a segment holds one event or more, got an empty batch")
     payload = encode_payload(batch)
-    times = pc.min_max(batch.data.column("time").cast(pa.int64())).as_py()
+    spans = {f.name: _span(f"{stream} {f.name}", batch, f.name) for f in batch.data.schema if f.type == TIMESTAMP}
+    time_min, time_max = spans["time"]
     return Draft(
         stream=stream,
         event_count=len(batch),
         schema_version=batch.type.version,
-        time_min=_time(stream, times["min"]),
-        time_max=_time(stream, times["max"]),
+        time_min=time_min,
+        time_max=time_max,
         producer=producer,
         payload=payload,
         payload_hash=hashlib.sha256(payload).digest(),
@@ -127,13 +155,22 @@ def encode(stream: StreamName, batch: EventBatch, producer: Producer) -> Draft:
 
 
 def encode_payload(batch: EventBatch) -> bytes:
-    """The batch's bytes: zstd of its Arrow IPC message without schema."""
-    data = batch.data
-    if data.get_total_buffer_size() > PAYLOAD_MAX_BYTES:
+    """The batch's bytes: zstd of its Arrow IPC message without schema.
+
+    Raises:
+        InvalidEvent: The batch is too large, or holds text that is not UTF-8.
+    """
+    data = _own(batch.data)
+    size = pa.ipc.get_record_batch_size(data)
+    if size > PAYLOAD_MAX_BYTES:
         raise InvalidEvent(
             f"{batch.type.type_name}: a segment holds at most {PAYLOAD_MAX_BYTES} bytes before compression, "
-            f"got {data.get_total_buffer_size()}; append it in smaller batches"
+            f"got {size}; append it in smaller batches"
         )
+    try:
+        data.validate(full=True)
+    except pa.ArrowInvalid as error:
+        raise InvalidEvent(f"{batch.type.type_name}: {error}") from error
     return zstandard.ZstdCompressor(level=_ZSTD_LEVEL).compress(data.serialize())
 
 
@@ -144,12 +181,20 @@ def decode(segment: Segment, catalogue: Catalogue) -> EventBatch:
         UnknownType: The catalogue does not know the type or the version.
         CorruptSegment: The bytes do not decode to what the header says.
     """
-    event_type = catalogue.find(segment.stream.type, segment.header.schema_version)
-    batch = EventBatch(event_type, decode_payload(segment.payload, schema_of(event_type)))
-    if len(batch) != segment.header.event_count:
+    header = segment.header
+    event_type = catalogue.find(segment.stream.type, header.schema_version)
+    place = f"{segment.stream} from sequence {header.first_sequence}"
+    try:
+        batch = EventBatch(event_type, decode_payload(segment.payload, schema_of(event_type)))
+        if len(batch) != header.event_count:
+            raise CorruptSegment(f"the header says {header.event_count} events, the payload holds {len(batch)}")
+        span = _span("time", batch, "time")
+    except (CorruptSegment, InvalidEvent) as error:
+        raise CorruptSegment(f"{place}: {error}") from error
+    if span != (header.time_min, header.time_max):
         raise CorruptSegment(
-            f"{segment.stream} from sequence {segment.header.first_sequence}: the header says "
-            f"{segment.header.event_count} events, the payload holds {len(batch)}"
+            f"{place}: the header says times {header.time_min} to {header.time_max}, "
+            f"the payload holds {span[0]} to {span[1]}"
         )
     return batch
 
@@ -163,13 +208,18 @@ def decode_payload(payload: bytes, schema: pa.Schema) -> pa.RecordBatch:
     try:
         declared = zstandard.get_frame_parameters(payload).content_size
         if declared > PAYLOAD_MAX_BYTES:
-            raise CorruptSegment(
-                f"the payload declares {declared} bytes, at most {PAYLOAD_MAX_BYTES} are allowed"
-            )
-        message = zstandard.ZstdDecompressor().decompress(payload, max_output_size=PAYLOAD_MAX_BYTES)
-        batch = pa.ipc.read_record_batch(pa.py_buffer(message), schema)
+            raise CorruptSegment(f"the payload declares {declared} bytes, at most {PAYLOAD_MAX_BYTES} are allowed")
+        data = zstandard.ZstdDecompressor().decompress(
+            payload, max_output_size=PAYLOAD_MAX_BYTES, allow_extra_data=False
+        )
+        message = pa.ipc.read_message(pa.py_buffer(data))
+        if message.type != "record batch":
+            raise CorruptSegment(f"the payload must be a record batch, got a message of type {message.type}")
+        if _is_body_compressed(message.metadata.to_pybytes()):
+            raise CorruptSegment("the payload's record batch must be compressed by the frame alone, got twice")
+        batch = pa.ipc.read_record_batch(message, schema)
         batch.validate(full=True)
-    except (zstandard.ZstdError, pa.ArrowInvalid, OSError) as error:
+    except (zstandard.ZstdError, pa.ArrowException, OSError, EOFError, IndexError, struct.error) as error:
         raise CorruptSegment(f"the payload of {len(payload)} bytes does not decode: {error}") from error
     return batch
 
@@ -204,6 +254,13 @@ def parse_header(data: bytes) -> Header:
     Raises:
         CorruptSegment: The bytes are not a header.
     """
+    try:
+        return _parse_header(data)
+    except (InvalidName, InvalidEvent) as error:
+        raise CorruptSegment(f"a segment's header does not hold: {error}") from error
+
+
+def _parse_header(data: bytes) -> Header:
     reader = _Reader(data)
     if reader.take(len(MAGIC)) != MAGIC:
         raise CorruptSegment(f"a segment's header begins with {MAGIC!r}, got {data[:8]!r}")
@@ -219,8 +276,8 @@ def parse_header(data: bytes) -> Header:
         Sequence(first),
         count,
         version,
-        _time(stream, time_min),
-        _time(stream, time_max),
+        _time(str(stream), time_min),
+        _time(str(stream), time_max),
         producer,
     )
 
@@ -235,19 +292,51 @@ def microseconds(time: datetime) -> int:
     return (time - _EPOCH) // timedelta(microseconds=1)
 
 
-def _time(stream: StreamName, since_epoch_us: int) -> datetime:
+def _time(place: str, since_epoch_us: int) -> datetime:
     try:
         return _EPOCH + timedelta(microseconds=since_epoch_us)
     except OverflowError as error:
-        raise InvalidEvent(
-            f"{stream}: time must lie in the years 1 to 9999, got {since_epoch_us} µs"
-        ) from error
+        raise InvalidEvent(f"{place}: a time must lie in the years 1 to 9999, got {since_epoch_us} µs") from error
+
+
+def _span(place: str, batch: EventBatch, name: str) -> tuple[datetime, datetime]:
+    """The column's earliest and latest time; the epoch twice where it holds none."""
+    ends = pc.min_max(batch.data.column(name).cast(pa.int64())).as_py()
+    return _time(place, ends["min"] or 0), _time(place, ends["max"] or 0)
+
+
+def _own(data: pa.RecordBatch) -> pa.RecordBatch:
+    """The batch without what lies beside it in memory.
+
+    Arrow writes the neighbours of a slice's nested values along with it; a copy of the rows has none.
+    """
+    if any(pa.types.is_nested(field.type) for field in data.schema):
+        return data.take(pa.array(np.arange(data.num_rows)))
+    return data
+
+
+def _is_body_compressed(metadata: bytes) -> bool:
+    """Whether the message asks Arrow to decompress its body, which would know no limit.
+
+    Source: Arrow's format/Message.fbs: `Message.header` is field 2, `RecordBatch.compression` field 3.
+    Arrow has verified the FlatBuffer before.
+    """
+    (message,) = struct.unpack_from("<I", metadata, 0)
+    header = message + _field_offset(metadata, message, 2)
+    record_batch = header + struct.unpack_from("<I", metadata, header)[0]
+    return _field_offset(metadata, record_batch, 3) != 0
+
+
+def _field_offset(metadata: bytes, table: int, index: int) -> int:
+    """Where in a FlatBuffer's table a field lies, from the table's start; 0 where it is absent."""
+    vtable = table - struct.unpack_from("<i", metadata, table)[0]
+    (size,) = struct.unpack_from("<H", metadata, vtable)
+    slot = 4 + 2 * index
+    return int(struct.unpack_from("<H", metadata, vtable + slot)[0]) if slot < size else 0
 
 
 def _text(text: str) -> bytes:
     data = text.encode()
-    if len(data) > 0xFFFF:
-        raise InvalidEvent(f"a name in a header has at most 65535 bytes, got {len(data)}")
     return struct.pack(">H", len(data)) + data
 
 

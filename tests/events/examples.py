@@ -1,0 +1,46 @@
+"""One plain event of a few types, with any field changed by name."""
+
+from datetime import UTC, datetime
+from typing import Any
+
+from events import MatchedRange, Producer, RuleDeployed, SituationDetected, SyncPlanned, TrackPoint
+
+NOON = datetime(2026, 1, 1, 12, tzinfo=UTC)
+PRODUCER = Producer("motion", "1.0.0", bytes(range(32)))
+
+
+def track_point(**changed: Any) -> TrackPoint:
+    plain = {"time": NOON, "track_id": 1, "frame": 0, "confidence": 1.0}
+    plain |= dict.fromkeys(("x", "y", "x1", "y1", "x2", "y2", "vx", "vy"), 0.0)
+    return TrackPoint(**(plain | changed))
+
+
+def rule_deployed(**changed: Any) -> RuleDeployed:
+    plain = {"time": NOON, "rule": "dwell", "rule_version": 1, "rule_hash": "00", "text": "rule: dwell"}
+    return RuleDeployed(**(plain | changed))
+
+
+def sync_planned(**changed: Any) -> SyncPlanned:
+    plain = {"time": NOON, "central": "https://central.example", "plan": "[]", "plan_hash": "00"}
+    return SyncPlanned(**(plain | changed))
+
+
+def situation(*variables: str, **changed: Any) -> SituationDetected:
+    lineage = tuple(
+        MatchedRange(variable=name, stream="s/cam/track_point", first_sequence=1, last_sequence=2) for name in variables
+    )
+    plain = {
+        "time": NOON,
+        "situation": "00",
+        "rule": "dwell",
+        "rule_version": 1,
+        "rule_hash": "00",
+        "severity": "info",
+        "title": "dwells",
+        "partition": "{}",
+        "measures": "{}",
+        "began_at": NOON,
+        "ended_at": NOON,
+        "lineage": lineage,
+    }
+    return SituationDetected(**(plain | changed))

@@ -1,0 +1,131 @@
+"""Hypothesis strategies for events, derived from the types' definitions: a new type needs no line here."""
+
+import json
+from datetime import UTC, datetime
+from types import NoneType
+from typing import Annotated, Any, Literal, get_args, get_origin
+
+import numpy as np
+import pyarrow as pa
+from annotated_types import Ge, Gt
+from hypothesis import strategies as st
+from pydantic import AwareDatetime, BaseModel
+from pydantic.fields import FieldInfo
+
+from events import EventBatch, EventType, Header, Part, Producer, Sequence, StreamName, batch_of_type
+from events.model import stored
+
+INT64_MIN, INT64_MAX = -(2**63), 2**63 - 1
+
+times = st.one_of(
+    st.sampled_from(
+        [datetime(1, 1, 1, 0, 0, 0, 1, tzinfo=UTC), datetime(9999, 12, 31, 23, 59, 59, 999_999, tzinfo=UTC)]
+    ),
+    st.datetimes(timezones=st.just(UTC)),
+)
+json_texts = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text(),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(), inner, max_size=3),
+    max_leaves=5,
+).map(json.dumps)
+
+
+def events(event_type: type[EventType]) -> st.SearchStrategy[EventType]:
+    """Any event of the type."""
+    return _models(event_type)
+
+
+def batches(event_type: type[EventType], min_size: int = 0) -> st.SearchStrategy[EventBatch]:
+    """Any batch of the type whose floats are any bits at all, signalling NaN included."""
+    rows = st.lists(events(event_type), min_size=min_size, max_size=6)
+    return st.tuples(rows, st.randoms(use_true_random=False)).map(
+        lambda drawn: _with_any_float_bits(batch_of_type(event_type, drawn[0]), drawn[1].randbytes)
+    )
+
+
+def bits(column: pa.Array) -> list[Any]:
+    """The column's values such that equal lists mean equal bits: floats as the integers of their bits."""
+    if pa.types.is_floating(column.type):
+        column = column.view(pa.int32() if column.type == pa.float32() else pa.int64())
+    if pa.types.is_timestamp(column.type):
+        column = column.cast(pa.int64())
+    return list(column.to_pylist())
+
+
+names = st.from_regex(r"\A[A-Za-z0-9]([A-Za-z0-9._-]{0,62}[A-Za-z0-9])?\Z")
+type_names = st.from_regex(r"\A[a-z][a-z0-9_]{0,47}\Z")
+streams = st.builds(StreamName.of, names, names, type_names)
+producers = st.builds(
+    Producer,
+    st.text().filter(str.isprintable),
+    st.text().filter(str.isprintable),
+    st.binary(min_size=32, max_size=32),
+)
+
+
+@st.composite
+def headers(draw: st.DrawFn) -> Header:
+    """Any header that a log can hold."""
+    int32 = st.integers(1, 2**31 - 1)
+    count = draw(int32)
+    time_min, time_max = sorted((draw(times), draw(times)))
+    return Header(
+        stream=draw(streams),
+        epoch=draw(st.integers(0, 2**31 - 1)),
+        first_sequence=Sequence(draw(st.integers(0, 2**63 - count))),
+        event_count=count,
+        schema_version=draw(int32),
+        time_min=time_min,
+        time_max=time_max,
+        producer=draw(producers),
+    )
+
+
+def _models(model: type[BaseModel]) -> st.SearchStrategy[Any]:
+    return st.builds(model, **{name: _values(info) for name, info in model.model_fields.items()})
+
+
+def _values(info: FieldInfo) -> st.SearchStrategy[Any]:
+    return _of(info.annotation, list(info.metadata))
+
+
+def _of(annotation: Any, metadata: list[Any]) -> st.SearchStrategy[Any]:
+    if get_origin(annotation) is Annotated:
+        inner, *more = get_args(annotation)
+        return _of(inner, metadata + more)
+    if NoneType in get_args(annotation):
+        (inner,) = (a for a in get_args(annotation) if a is not NoneType)
+        return st.none() | _of(inner, metadata)
+    if get_origin(annotation) is Literal:
+        return st.sampled_from(get_args(annotation))
+    if get_origin(annotation) is tuple:
+        return st.lists(_of(get_args(annotation)[0], []), max_size=3).map(tuple)
+    if isinstance(annotation, type) and issubclass(annotation, Part):
+        return _models(annotation)
+    marker = stored(metadata)
+    if annotation is int:
+        return st.integers(_least(metadata), INT64_MAX) | st.just(INT64_MAX)
+    if annotation is float:
+        return st.floats(width=32 if marker and marker.arrow == pa.float32() else 64)
+    if annotation is str:
+        return json_texts if marker and marker.is_json else st.text()
+    plain = {bool: st.booleans(), bytes: st.binary(), datetime: times, AwareDatetime: times}
+    return plain[annotation]
+
+
+def _least(metadata: list[Any]) -> int:
+    least = [int(m.ge) for m in metadata if isinstance(m, Ge)]  # type: ignore[call-overload]
+    least += [int(m.gt) + 1 for m in metadata if isinstance(m, Gt)]  # type: ignore[call-overload]
+    return max(least, default=INT64_MIN)
+
+
+def _with_any_float_bits(batch: EventBatch, random_bytes: Any) -> EventBatch:
+    columns = []
+    for column in batch.data.columns:
+        if pa.types.is_floating(column.type):
+            width = column.type.bit_width // 8
+            noise = np.frombuffer(random_bytes(width * len(batch)), f"u{width}")
+            values = pa.array(noise.view(f"f{width}"), column.type, from_pandas=False)
+            column = pa.compute.if_else(column.is_valid(), values, None)
+        columns.append(column)
+    return EventBatch(batch.type, pa.RecordBatch.from_arrays(columns, schema=batch.data.schema))
