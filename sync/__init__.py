@@ -1,1 +1,60 @@
-"""ViAn (sync)."""
+"""From a station's log to central's: segments verbatim over HTTPS, each exactly once in effect.
+
+A station's `Daemon` sends what its `Plan` names; central's `router` takes it for the stations in its
+`Grants`. The protocol is docs/reference/sync.md.
+"""
+
+from sync.central import Limits, router
+from sync.daemon import Daemon
+from sync.errors import (
+    BadAnswer,
+    CentralError,
+    CentralFailed,
+    CentralUnreachable,
+    Damaged,
+    GrantError,
+    HeadsDisagree,
+    NotAuthorised,
+    PlanError,
+    ProtocolMismatch,
+    Refusal,
+    Refused,
+    SegmentRefused,
+    StreamStopped,
+    SyncError,
+    WireError,
+)
+from sync.grants import Grants, token_hash
+from sync.plan import LANES, Entry, Plan
+from sync.reports import Pace, Status, Step, StreamStatus
+
+__all__ = [
+    "LANES",
+    "BadAnswer",
+    "CentralError",
+    "CentralFailed",
+    "CentralUnreachable",
+    "Daemon",
+    "Damaged",
+    "Entry",
+    "GrantError",
+    "Grants",
+    "HeadsDisagree",
+    "Limits",
+    "NotAuthorised",
+    "Pace",
+    "Plan",
+    "PlanError",
+    "ProtocolMismatch",
+    "Refusal",
+    "Refused",
+    "SegmentRefused",
+    "Status",
+    "Step",
+    "StreamStatus",
+    "StreamStopped",
+    "SyncError",
+    "WireError",
+    "router",
+    "token_hash",
+]

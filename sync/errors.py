@@ -1,0 +1,161 @@
+"""What can go wrong between a station and central.
+
+SyncError
+├── WireError            bytes or JSON that are not this protocol's
+├── PlanError            a plan that cannot be used
+├── GrantError           a token or a table of tokens that cannot be used
+├── Refusal              central: a request that is refused, with the answer to give
+├── CentralError         station: central did not do what it was asked
+│   ├── CentralUnreachable   no connection, a connection lost, no answer in time
+│   ├── CentralFailed        central answered that it is in trouble itself
+│   ├── BadAnswer            the answer is not central's: a proxy's page, another server, cut off
+│   ├── NotAuthorised        the token is not granted, or not for this station
+│   ├── ProtocolMismatch     the two sides share no version of the protocol
+│   └── Refused              central refused the request and said why
+└── StreamStopped        station: a stream that must not be sent further; the others go on
+    ├── HeadsDisagree        central holds another history of the stream than this station
+    ├── Damaged              the station's own bytes do not carry their hash
+    └── SegmentRefused       central will never take one of its segments
+"""
+
+from dataclasses import dataclass
+
+from events import StreamName
+from store import StreamHead
+
+
+class SyncError(Exception):
+    """Base of every error that the package `sync` raises."""
+
+
+class WireError(SyncError):
+    """Bytes or JSON that are not this protocol's."""
+
+
+class PlanError(SyncError):
+    """A plan that cannot be used."""
+
+
+class GrantError(SyncError):
+    """A token or a table of tokens that cannot be used."""
+
+
+@dataclass(eq=False)
+class Refusal(SyncError):
+    """A request that central refuses: the HTTP status and what the problem body says."""
+
+    status: int
+    code: str
+    error: str
+    got: str
+    wanted: str
+    next: str
+    stream: StreamName | None = None
+    epoch: int | None = None
+    first_sequence: int | None = None
+    cursors: tuple[StreamHead, ...] = ()
+
+    def __str__(self) -> str:
+        return f"{self.error}: got {self.got}, wanted {self.wanted}. Next: {self.next}"
+
+
+class CentralError(SyncError):
+    """Central did not do what it was asked; what it stored is in doubt until the next hello."""
+
+
+class CentralUnreachable(CentralError):
+    """No connection, a connection lost, or no answer in time."""
+
+
+class CentralFailed(CentralError):
+    """Central answered that it is in trouble itself."""
+
+
+class BadAnswer(CentralError):
+    """The answer is not central's: a proxy's page, another server's, or cut off."""
+
+
+class NotAuthorised(CentralError):
+    """The token is not granted at central, or not for this station."""
+
+
+class ProtocolMismatch(CentralError):
+    """The two sides share no version of the protocol."""
+
+
+class Refused(CentralError):
+    """Central refused the request and said why, perhaps because of one segment."""
+
+    def __init__(
+        self,
+        message: str,
+        *,
+        code: str = "",
+        stream: StreamName | None = None,
+        epoch: int | None = None,
+        first_sequence: int | None = None,
+    ) -> None:
+        super().__init__(message)
+        self.code = code
+        self.stream = stream
+        self.epoch = epoch
+        self.first_sequence = first_sequence
+
+
+class StreamStopped(SyncError):
+    """A stream that must not be sent further; the others go on."""
+
+    stream: StreamName
+    epoch: int
+
+
+@dataclass(eq=False)
+class HeadsDisagree(StreamStopped):
+    """Central holds another history of the stream than this station."""
+
+    stream: StreamName
+    epoch: int
+    sequence: int
+    here: bytes | None
+    """Chain hash here at that sequence; None where no segment here ends at it."""
+    at_central: bytes
+
+    def __str__(self) -> str:
+        here = f"the chain hash here is {self.here.hex()}" if self.here else "no segment ends there on this station"
+        return (
+            f"stream {self.stream} (epoch {self.epoch}) is stopped: at sequence {self.sequence} {here}, at central it "
+            f"is {self.at_central.hex()}; this log was replaced or restored since it sent those events. "
+            "Next: vian verify here; if it is sound, restore the station's newer log, or ask central which to keep"
+        )
+
+
+@dataclass(eq=False)
+class Damaged(StreamStopped):
+    """The station's own bytes do not carry their hash, or a part of the stream is missing."""
+
+    stream: StreamName
+    epoch: int
+    first_sequence: int
+    reason: str
+
+    def __str__(self) -> str:
+        return (
+            f"stream {self.stream} (epoch {self.epoch}) is stopped: this station's own segment from sequence "
+            f"{self.first_sequence} is damaged: {self.reason}. Next: vian verify"
+        )
+
+
+@dataclass(eq=False)
+class SegmentRefused(StreamStopped):
+    """Central will never take one of the stream's segments."""
+
+    stream: StreamName
+    epoch: int
+    first_sequence: int
+    reason: str
+
+    def __str__(self) -> str:
+        return (
+            f"stream {self.stream} (epoch {self.epoch}) is stopped: its segment from sequence {self.first_sequence} "
+            f"is refused: {self.reason}. The other streams go on; restart vian sync to try it again"
+        )
