@@ -45,6 +45,9 @@ def batches(event_type: type[EventType], min_size: int = 0) -> st.SearchStrategy
 
 def bits(column: pa.Array) -> list[Any]:
     """The column's values such that equal lists mean equal bits: floats as the integers of their bits."""
+    if pa.types.is_list(column.type):
+        parts = [bits(values) for values in column.flatten().flatten()]
+        return [column.is_valid().to_pylist(), column.value_lengths().to_pylist(), *parts]
     if pa.types.is_floating(column.type):
         column = column.view(pa.int32() if column.type == pa.float32() else pa.int64())
     if pa.types.is_timestamp(column.type):

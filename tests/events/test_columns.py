@@ -31,7 +31,7 @@ each_type = pytest.mark.parametrize("event_type", TYPES, ids=lambda t: t.type_na
 
 @each_type
 @given(data=st.data())
-@settings(max_examples=40)
+@settings(max_examples=25)
 def test_events_of_batch_of_is_the_identity(event_type: type[EventType], data: st.DataObject) -> None:
     said = data.draw(st.lists(events(event_type), max_size=5))
     # repr tells -0.0 from 0.0 and holds NaN equal to itself, which == does not.

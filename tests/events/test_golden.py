@@ -1,0 +1,66 @@
+import json
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import pytest
+import zstandard
+
+from events import SHIPPED, Catalogue, EventBatch, EventType, batch_of_type, events_of, schema_of
+from events.segment import decode_payload, encode_payload
+
+GOLDEN = Path(__file__).parent / "golden"
+FROZEN = sorted(path.stem for path in GOLDEN.glob("*.bin"))
+
+
+def test_every_shipped_type_and_version_is_frozen() -> None:
+    shipped = {f"{event_type.type_name}.v{event_type.version}" for event_type in SHIPPED}
+    assert shipped == set(FROZEN), (
+        "Next: write tests/events/golden/TYPE.vN.json by hand, then python -m tests.events.golden"
+    )
+
+
+@pytest.mark.parametrize("name", FROZEN)
+def test_frozen_bytes_decode_to_the_values_of_old(name: str) -> None:
+    got = decode_payload((GOLDEN / f"{name}.bin").read_bytes(), schema_of(_type(name)))
+    # As text, in which NaN equals itself and -0.0 is not 0.0.
+    assert [_plain(row) for row in got.to_pylist()] == [json.dumps(row) for row in _rows(name)]
+
+
+@pytest.mark.parametrize("name", FROZEN)
+def test_the_values_of_old_encode_to_the_frozen_message(name: str) -> None:
+    event_type = _type(name)
+    batch = batch_of_type(event_type, [event_type.model_validate(row) for row in _rows(name)])
+    assert _message(encode_payload(batch)) == _message((GOLDEN / f"{name}.bin").read_bytes())
+
+
+@pytest.mark.parametrize("name", FROZEN)
+def test_frozen_events_are_lawful_today(name: str) -> None:
+    batch = EventBatch(_type(name), decode_payload((GOLDEN / f"{name}.bin").read_bytes(), schema_of(_type(name))))
+    assert len(events_of(batch)) == len(_rows(name))
+
+
+def _type(name: str) -> type[EventType]:
+    type_name, version = name.split(".v")
+    return Catalogue(SHIPPED).find(type_name, int(version))
+
+
+def _rows(name: str) -> list[dict[str, Any]]:
+    rows: list[dict[str, Any]] = json.loads((GOLDEN / f"{name}.json").read_text())
+    return rows
+
+
+def _message(payload: bytes) -> bytes:
+    return zstandard.ZstdDecompressor().decompress(payload)
+
+
+def _plain(row: dict[str, Any]) -> str:
+    return json.dumps({name: _value(value) for name, value in row.items()})
+
+
+def _value(value: Any) -> Any:
+    if isinstance(value, datetime):
+        return value.isoformat(timespec="microseconds")
+    if isinstance(value, float) and value - value != 0:
+        return {"nan": "NaN", "inf": "Infinity", "-inf": "-Infinity"}[str(value)]
+    return value
