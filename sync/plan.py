@@ -13,7 +13,7 @@ import re
 from collections.abc import Hashable, Iterator, Mapping
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Annotated, Self
 
 import yaml
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, field_validator
@@ -26,6 +26,7 @@ LANES: Mapping[str, int] = {"alerts": 0, "situations": 10, "tracks": 20, "points
 PRIORITY_MAX = 99
 ENTRIES_MAX = 1000
 FILE_BYTES_MAX = 256 * 1024
+_DEPTH_MAX = 4
 
 _PART = re.compile(r"(?:[A-Za-z0-9._*?-]|\[!?[A-Za-z0-9._-]+\]){1,64}")
 
@@ -33,6 +34,8 @@ _PART = re.compile(r"(?:[A-Za-z0-9._*?-]|\[!?[A-Za-z0-9._-]+\]){1,64}")
 def _priority(value: object) -> object:
     if not isinstance(value, str):
         return value
+    if value.isdecimal() and len(value) <= 3:
+        return int(value)
     if value not in LANES:
         raise ValueError(f"must be one of {', '.join(LANES)}, or a number from 0 (first) to {PRIORITY_MAX}")
     return LANES[value]
@@ -118,20 +121,7 @@ class Plan(BaseModel):
         """
         if len(text) > FILE_BYTES_MAX:
             raise PlanError(f"{name}: a plan has at most {FILE_BYTES_MAX} characters, got {len(text)}")
-        loader = yaml.SafeLoader(text)
-        try:
-            node = loader.get_single_node()
-            if node is None:
-                raise PlanError(f"{name}: the file is empty; wanted: entries, a list of {{stream, from, priority}}")
-            lines = dict(_lines(node, (), name))
-            data = loader.construct_document(node)
-        except yaml.MarkedYAMLError as error:
-            line = f", line {error.problem_mark.line + 1}" if error.problem_mark else ""
-            raise PlanError(f"{name}{line}: not YAML: {error.problem}") from error
-        except (yaml.YAMLError, ValueError, RecursionError) as error:
-            raise PlanError(f"{name}: not YAML: {' '.join(str(error).split())[:200]}") from error
-        finally:
-            loader.dispose()
+        data, lines = _document(text, name)
         return cls._of(data, name, lines)
 
     @classmethod
@@ -175,22 +165,49 @@ class Plan(BaseModel):
         return hashlib.sha256(self.canonical().encode()).digest()
 
 
-def _lines(node: yaml.Node, path: tuple[Hashable, ...], name: str) -> Iterator[tuple[tuple[Hashable, ...], int]]:
-    """The line of each place in the document, from 1; aliases and doubled keys are refused."""
+def _document(text: str, name: str) -> tuple[object, dict[tuple[Hashable, ...], int]]:
+    """What a YAML text says, in texts, lists and mappings, and the line of each place in it."""
+    loader = None
+    try:
+        loader = yaml.BaseLoader(text)  # scalars stay text: the plan's own types decide
+        node = loader.get_single_node()
+        if node is None:
+            raise PlanError(f"{name}: the file is empty; wanted: entries, a list of {{stream, from, priority}}")
+        lines = dict(_lines(node, (), name, set()))
+        return loader.construct_document(node), lines
+    except yaml.MarkedYAMLError as error:
+        line = f", line {error.problem_mark.line + 1}" if error.problem_mark else ""
+        raise PlanError(f"{name}{line}: not YAML: {error.problem}") from error
+    except (yaml.YAMLError, RecursionError) as error:
+        raise PlanError(f"{name}: not YAML: {' '.join(str(error).split())[:200]}") from error
+    finally:
+        if loader is not None:
+            loader.dispose()
+
+
+def _lines(
+    node: yaml.Node, path: tuple[Hashable, ...], name: str, seen: set[int]
+) -> Iterator[tuple[tuple[Hashable, ...], int]]:
+    """The line of each place, from 1; aliases, deep nesting and doubled keys are refused."""
     line = node.start_mark.line + 1
     yield path, line
-    if len(path) > 4:
+    if len(path) > _DEPTH_MAX:
         raise PlanError(f"{name}, line {line}: nested too deep for a plan")
+    if id(node) in seen:
+        raise PlanError(f"{name}, line {line}: an alias repeats this; write it out, a plan has no aliases")
+    seen.add(id(node))
     if isinstance(node, yaml.SequenceNode):
         for index, child in enumerate(node.value):
-            yield from _lines(child, (*path, index), name)
+            yield from _lines(child, (*path, index), name, seen)
     elif isinstance(node, yaml.MappingNode):
-        seen: set[Any] = set()
+        keys: set[str] = set()
         for key, child in node.value:
-            if key.value in seen:
-                raise PlanError(f"{name}, line {key.start_mark.line + 1}: {key.value!r} is given twice")
-            seen.add(key.value)
-            yield from _lines(child, (*path, key.value), name)
+            if not isinstance(key, yaml.ScalarNode):
+                raise PlanError(f"{name}, line {key.start_mark.line + 1}: a key must be a text")
+            if key.value in keys:
+                raise PlanError(f"{name}, line {key.start_mark.line + 1}: {key.value[:60]!r} is given twice")
+            keys.add(key.value)
+            yield from _lines(child, (*path, key.value), name, seen)
 
 
 def _reason(name: str, error: ValidationError, lines: Mapping[tuple[Hashable, ...], int]) -> str:

@@ -1,0 +1,177 @@
+import contextlib
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from events import StreamName, station_name
+from sync import LANES, Entry, Plan, PlanError
+
+TEXT = """\
+entries:
+  - stream: "*/*/situation_detected"
+    priority: situations
+  - stream: "brno-?/cam-[0-9]*/track_point"
+    from: beginning
+    priority: 25
+  - {stream: "*/gate/[!a]*"}
+"""
+
+
+def stream(text: str) -> StreamName:
+    return StreamName.parse(text)
+
+
+def test_a_file_is_read_in_order(tmp_path: Path) -> None:
+    path = tmp_path / "plan.yaml"
+    path.write_text(TEXT)
+
+    plan = Plan.load(path)
+
+    assert plan.entries == (
+        Entry(stream="*/*/situation_detected", since="beginning", priority=LANES["situations"]),
+        Entry(stream="brno-?/cam-[0-9]*/track_point", priority=25),
+        Entry(stream="*/gate/[!a]*", priority=LANES["points"]),
+    )
+
+
+@pytest.mark.parametrize(
+    "name, priority",
+    [
+        ("brno-2/gate/situation_detected", 10),
+        ("brno-2/cam-07/track_point", 25),
+        ("brno-12/cam-07/track_point", None),
+        ("brno-2/cam-x/track_point", None),
+        ("brno-2/gate/track_ended", 30),
+        ("brno-2/gate/activity_interval", None),
+        ("BRNO-2/cam-07/track_point", None),
+    ],
+)
+def test_the_first_entry_that_fits_decides(name: str, priority: int | None) -> None:
+    assert Plan.parse(TEXT).priority_of(stream(name)) == priority
+
+
+def test_an_earlier_entry_hides_a_later_one() -> None:
+    plan = Plan.of({"entries": [{"stream": "*/*/*", "priority": "media"}, {"stream": "*/*/*", "priority": "alerts"}]})
+
+    assert plan.priority_of(stream("a/b/c")) == LANES["media"]
+
+
+def test_a_pattern_matches_part_by_part() -> None:
+    assert not Entry(stream="*/track_point/*").fits(stream("a/b/track_point"))
+    assert Entry(stream="a*/*/*").fits_station(station_name("a.b"))
+    assert not Entry(stream="a*/*/*").fits_station(station_name("b"))
+
+
+def test_the_lanes_are_in_the_order_of_their_urgency() -> None:
+    assert list(LANES) == ["alerts", "situations", "tracks", "points", "media"]
+    assert list(LANES.values()) == sorted(LANES.values())
+
+
+def test_two_spellings_of_one_plan_have_one_hash() -> None:
+    flow = Plan.parse("{entries: [{priority: 30, from: beginning, stream: '*/a/*'}]} # the same")
+    block = Plan.parse("entries:\n- stream: '*/a/*'\n  priority: points\n")
+
+    assert flow.plan_hash == block.plan_hash
+    assert flow.canonical() == '{"entries":[{"from":"beginning","priority":30,"stream":"*/a/*"}]}'
+    assert Plan.of({"entries": [{"stream": "*/b/*"}]}).plan_hash != flow.plan_hash
+
+
+@given(
+    st.lists(
+        st.fixed_dictionaries(
+            {
+                "stream": st.from_regex(r"([a-z*?.]{1,9}/){2}[a-z*_]{1,9}", fullmatch=True),
+                "priority": st.sampled_from([*LANES, 0, 99]),
+            }
+        ),
+        min_size=1,
+        max_size=5,
+    )
+)
+def test_the_canonical_form_says_the_same_plan(entries: list[dict[str, object]]) -> None:
+    plan = Plan.of({"entries": entries})
+
+    assert Plan.parse(plan.canonical()) == plan
+
+
+@pytest.mark.parametrize(
+    "text, words",
+    [
+        ("", "plan.yaml: the file is empty"),
+        ("entries: []", "plan.yaml, line 1: entries: the plan names no stream"),
+        ("entries:\n", "plan.yaml, line 1: entries: must be a list"),
+        ("- a", "plan.yaml: a plan is a mapping with entries, got a list"),
+        ("streams: []", "line 1: streams: unknown key; known: entries"),
+        ("entries:\n- stream: a/b\n", "plan.yaml, line 2: entries[0].stream: must be a pattern station/source/type"),
+        ("entries:\n- stream: a/b/c\n- stream: 'a/{b}/c'\n", "plan.yaml, line 3: entries[1].stream: the part '{b}'"),
+        ("entries:\n- stream: 'a/[b/c'\n", "the part '[b'"),
+        ("entries:\n- stream: a//c\n", "the part ''"),
+        (f"entries:\n- stream: a/{'b' * 65}/c\n", "must be 1 to 64"),
+        ("entries:\n- stream: 7\n", "must be a pattern station/source/type, such as */*/situation_detected; got '7'"),
+        ("entries:\n- stream: [a/b/c]\n", "entries[0].stream: Input should be a valid string"),
+        (
+            "entries:\n- stream: a/b/c\n  rate: 3\n",
+            "plan.yaml, line 3: entries[0].rate: unknown key; known: stream, from",
+        ),
+        ("entries:\n- stream: a/b/c\n  since: beginning\n  from: beginning\n", "line 3"),
+        ("entries:\n- priority: alerts\n", "plan.yaml, line 2: entries[0].stream: Field required"),
+        (
+            "entries:\n- stream: a/b/c\n  from: now\n",
+            "line 3: entries[0].from: 'now' is not supported yet; wanted: beginning",
+        ),
+        ("entries:\n- stream: a/b/c\n  from: 2026-01-01\n", "entries[0].from: '2026-01-01' is not supported yet"),
+        ("entries:\n- stream: a/b/c\n  priority: urgent\n", "priority: must be one of alerts, situations, tracks"),
+        ("entries:\n- stream: a/b/c\n  priority: 100\n", "line 3: entries[0].priority"),
+        ("entries:\n- stream: a/b/c\n  priority: true\n", "line 3: entries[0].priority"),
+        ("entries:\n- just text\n", "plan.yaml, line 2: entries[0]"),
+        ("entries:\n- stream: a/b/c\n  stream: d/e/f\n", "plan.yaml, line 3: 'stream' is given twice"),
+        ("entries:\n- stream: 'a/b/c\n", "plan.yaml, line 3: not YAML"),
+        ("a: b: c", "plan.yaml, line 1: not YAML"),
+        ("entries: *nowhere", "line 1: not YAML: found undefined alias"),
+        ("entries: !!python/object/apply:os.system [ls]", "line 1: entries[0]: Input should be"),
+        ("--- {entries: []}\n--- {}\n", "line 2: not YAML: but found another document"),
+        ("entries: [[[[[[[[]]]]]]]]", "line 1: nested too deep for a plan"),
+        ("[" * 5000, "plan.yaml: not YAML"),
+        ("entries: \x00", "plan.yaml: not YAML"),
+        ("? [a, b]\n: c\n", "plan.yaml, line 1: a key must be a text"),
+        ("x: &x []\nentries: *x\n", "plan.yaml, line 1: an alias repeats this"),
+        ("x" * 300_000, "at most 262144 characters, got 300000"),
+    ],
+)
+def test_what_is_no_plan_is_refused_with_the_place(text: str, words: str) -> None:
+    with pytest.raises(PlanError) as raised:
+        Plan.parse(text, "plan.yaml")
+
+    assert words in str(raised.value)
+    assert len(str(raised.value)) < 1000
+
+
+def test_aliases_that_multiply_are_refused_at_once() -> None:
+    lines = ["a0: &a0 [x, x, x, x, x, x, x, x, x, x]"]
+    lines += [f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 10)}]" for n in range(1, 12)]
+
+    with pytest.raises(PlanError):
+        Plan.parse("\n".join([*lines, "entries: *a11"]))
+
+
+def test_every_mistake_is_told_at_once() -> None:
+    with pytest.raises(PlanError) as raised:
+        Plan.parse("entries:\n- stream: a/b\n- stream: c/d\n")
+
+    assert str(raised.value).count("\n") == 1
+
+
+def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
+    with pytest.raises(PlanError, match=r"missing.yaml: cannot be read: No such file"):
+        Plan.load(tmp_path / "missing.yaml")
+    (tmp_path / "latin.yaml").write_bytes(b"entries: \xe9")
+    with pytest.raises(PlanError, match=r"latin.yaml: is not UTF-8: .* at byte 9"):
+        Plan.load(tmp_path / "latin.yaml")
+
+
+@given(st.text(max_size=200))
+def test_any_text_is_a_plan_or_is_refused(text: str) -> None:
+    with contextlib.suppress(PlanError):
+        assert Plan.parse(text).entries
