@@ -1,0 +1,415 @@
+"""Binding: a parsed rule against the columns of its event type.
+
+Here names become columns, variables and registers, and conditions are taken
+apart: what a row and its predecessors decide becomes a predicate that is
+evaluated over columns, once however many variables use it; what depends on the
+match becomes a guard over registers. Cheap: a rule is bound in milliseconds.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from string import Formatter
+
+import pyarrow as pa
+
+from patterns.bound import BoundRule, Condition, Output, Register
+from patterns.errors import RuleError
+from patterns.expressions import (
+    Call,
+    Column,
+    Const,
+    Count,
+    Expr,
+    Kind,
+    Reference,
+    column_names,
+    conjuncts,
+    is_constant,
+    is_row_local,
+    is_strict,
+    operands,
+    reach,
+    rebuilt,
+)
+from patterns.geometry import FrameSize
+from patterns.guards import constant_value
+from patterns.limits import Limits
+from patterns.parser import parse
+from patterns.program import ProgramTooLarge, Tables, compile_pattern, tabulate
+from patterns.rule import Rule
+from patterns.scalars import Scope, translate
+from patterns.syntax import Alternation, Concatenation, Identifier, Pattern, Query, Repetition, Scalar, Variable
+
+PREDICATES_MOST = 63
+
+ENVELOPE = {
+    "time": Kind.TIME, "sequence": Kind.INT, "source": Kind.STRING, "station": Kind.STRING,
+    "subject": Kind.STRING, "type": Kind.STRING,
+}  # fmt: skip
+
+
+def bind(
+    rule: Rule,
+    schemas: Mapping[str, pa.Schema],
+    frame_sizes: Mapping[str, FrameSize] | None = None,
+    limits: Limits | None = None,
+) -> BoundRule:
+    """The rule, ready to run.
+
+    Args:
+        rule: The rule.
+        schemas: The event types there are, and the columns of each; the envelope's need not be among them.
+        frame_sizes: For each source whose frame size is known, its (width, height) in pixels.
+        limits: What the rule may use.
+
+    Raises:
+        RuleError: A name that is not there, operands of wrong types, a pattern that can never match.
+        NotSupportedYet: SQL outside what this version understands.
+    """
+    query = parse(rule.passage("match"))
+    return _Binder(rule, query, schemas, limits or Limits()).bound(dict(frame_sizes or {}))
+
+
+@dataclass(slots=True)
+class _Parts:
+    """What conditions and measures were taken apart into, each part once."""
+
+    predicates: dict[Expr, int] = field(default_factory=dict)
+    slots: dict[Expr, int] = field(default_factory=dict)
+    registers: dict[Register, int] = field(default_factory=dict)
+    register_of: dict[Expr, int] = field(default_factory=dict)
+
+
+class _Binder:
+    """One method for each clause."""
+
+    def __init__(self, rule: Rule, query: Query, schemas: Mapping[str, pa.Schema], limits: Limits) -> None:
+        self.rule = rule
+        self.query = query
+        self.limits = limits
+        self.parts = _Parts()
+        self.columns, self.unreadable = self.readable_columns(schemas)
+        shown: dict[str, str] = {}
+        for name in pattern_variables(query.pattern):
+            shown.setdefault(name.key, name.name)
+        self.variables = shown
+        self.indices = {name: index for index, name in enumerate(shown.values())}
+
+    def bound(self, frame_sizes: Mapping[str, FrameSize]) -> BoundRule:
+        query = self.query
+        keys = tuple(self.key(column) for column in query.partition_by)
+        where = self.condition_of(query.where, "WHERE", None) if query.where else None
+        conditions = self.conditions()
+        measures = self.measures()
+        title_columns = self.title_columns(measures, keys)
+        within_us = self.within(query.within) if query.within else None
+        skip_variable = self.skip_variable()
+        try:
+            program = compile_pattern(query.pattern, tuple(self.variables), self.limits.positions)
+            tables = tabulate(program)
+        except ProgramTooLarge as error:
+            raise query.passage.error(f"PATTERN: {error}", query.pattern_at) from error
+        self.check_once_per(measures, keys)
+        parts = self.parts
+        read = (*parts.predicates, *parts.slots, *((where,) if where is not None else ()))
+        names = sorted(column_names(read) | set(keys) | {"source"})
+        bound = BoundRule(
+            rule=self.rule,
+            type=query.source_type.name,
+            variables=tuple(self.variables.values()),
+            program=program,
+            tables=tables,
+            columns={name: self.columns[name] for name in names},
+            keys=keys,
+            where=where,
+            predicates=tuple(parts.predicates),
+            slots=tuple(parts.slots),
+            registers=tuple(parts.registers),
+            register_of=dict(parts.register_of),
+            conditions=conditions,
+            measures=measures,
+            title_columns=title_columns,
+            within_us=within_us,
+            skip=query.skip.mode,
+            skip_variable=skip_variable,
+            reach=max((reach(expr) for expr in read), default=0),
+            looks_back=self.looks_back(tables, conditions),
+            frame_sizes=frame_sizes,
+            limits=self.limits,
+        )
+        self.check_can_match(bound)
+        return bound
+
+    # Names.
+
+    def readable_columns(self, schemas: Mapping[str, pa.Schema]) -> tuple[dict[str, Kind], dict[str, str]]:
+        name = self.query.source_type
+        if name.name not in schemas:
+            have = ", ".join(sorted(schemas))
+            raise self.error(f"FROM: unknown event type {name.name!r}; there are: {have}", name.at)
+        readable, unreadable = dict(ENVELOPE), {}
+        for column in schemas[name.name]:
+            kind = kind_of(column.type)
+            if kind is None:
+                unreadable[column.name] = str(column.type)
+            elif column.name not in ENVELOPE:
+                readable[column.name] = kind
+        return readable, unreadable
+
+    def key(self, column: Identifier) -> str:
+        for name in (column.name, column.name.lower()):
+            if name in self.columns:
+                return name
+        have = ", ".join(sorted(self.columns))
+        raise self.error(f"PARTITION BY: unknown column {column.name!r}; there are: {have}", column.at)
+
+    def scope(self, clause: str, own: str | None, has_row: bool) -> Scope:
+        return Scope(
+            passage=self.query.passage,
+            clause=clause,
+            columns=self.columns,
+            unreadable=self.unreadable,
+            variables=self.variables if clause != "WHERE" else {},
+            own=own,
+            has_row=has_row,
+            params=self.rule.params,
+            zones=self.rule.zones,
+            lines=self.rule.lines,
+        )
+
+    # Clauses.
+
+    def conditions(self) -> tuple[Condition, ...]:
+        defined: dict[str, Expr] = {}
+        for define in self.query.defines:
+            if define.name.key not in self.variables:
+                raise self.error(f"DEFINE: {define.name.name!r} is not in PATTERN", define.name.at)
+            shown = self.variables[define.name.key]
+            if shown in defined:
+                raise self.error(f"DEFINE: {define.name.name!r} is defined twice", define.name.at)
+            defined[shown] = self.condition_of(define.value, "DEFINE", shown)
+        true = Const(True, Kind.BOOL)
+        return tuple(self.taken_apart(defined.get(shown, true)) for shown in self.variables.values())
+
+    def condition_of(self, scalar: Scalar, clause: str, own: str | None) -> Expr:
+        expr = translate(scalar, self.scope(clause, own, has_row=True))
+        if expr.kind not in (Kind.BOOL, Kind.NULL):
+            raise self.error(f"{clause}: wanted a condition, got {expr.kind.value}", scalar.at)
+        return lifted(expr)
+
+    def taken_apart(self, condition: Expr) -> Condition:
+        parts = self.parts
+        predicates: dict[int, None] = {}
+        guards = []
+        for part in conjuncts(condition):
+            if not is_row_local(part):
+                guards.append(part)
+                self.remember(part)
+            elif not (is_constant(part) and constant_value(part) is True):
+                predicates[parts.predicates.setdefault(part, len(parts.predicates))] = None
+        if len(parts.predicates) > PREDICATES_MOST:
+            message = f"DEFINE: more than {PREDICATES_MOST} different row-local conditions"
+            raise self.error(message, self.query.pattern_at)
+        guard = Call("and", tuple(guards), Kind.BOOL) if len(guards) > 1 else guards[0] if guards else None
+        return Condition(tuple(predicates), guard)
+
+    def measures(self) -> tuple[Output, ...]:
+        outputs: dict[str, Output] = {}
+        for measure in self.query.measures:
+            name = measure.name.name
+            if name in outputs:
+                raise self.error(f"MEASURES: {name!r} is named twice", measure.name.at)
+            value = lifted(translate(measure.value, self.scope("MEASURES", None, has_row=False)))
+            self.remember(value)
+            outputs[name] = Output(name, value)
+        return tuple(outputs.values())
+
+    def within(self, scalar: Scalar) -> int:
+        expr = translate(scalar, self.scope("WITHIN", None, has_row=True))
+        value = constant_value(expr) if is_constant(expr) else None
+        if expr.kind is not Kind.DURATION or not isinstance(value, int) or value <= 0:
+            raise self.error("WITHIN: wanted a constant duration above zero", scalar.at)
+        return value
+
+    def skip_variable(self) -> int | None:
+        variable = self.query.skip.variable
+        if variable is None:
+            return None
+        if variable.key not in self.variables:
+            have = ", ".join(self.variables.values())
+            raise self.error(f"AFTER MATCH SKIP: unknown pattern variable {variable.name!r}; there are: {have}",
+                             variable.at)  # fmt: skip
+        return self.indices[self.variables[variable.key]]
+
+    def title_columns(self, measures: tuple[Output, ...], keys: tuple[str, ...]) -> tuple[Output, ...]:
+        """What the title shows beside measures and partition columns: columns of the match's last row."""
+        known = {*keys, *(measure.name for measure in measures)}
+        outputs: dict[str, Output] = {}
+        for name in title_fields(self.rule):
+            if name in known:
+                continue
+            if name not in self.columns:
+                have = ", ".join(sorted(known | set(self.columns)))
+                raise self.rule_error(f"title: unknown name {{{name}}}; there are: {have}", "title", name)
+            value = Reference(None, "last", Column(name, self.columns[name]))
+            self.remember(value)
+            outputs[name] = Output(name, value)
+        return tuple(outputs.values())
+
+    def check_once_per(self, measures: tuple[Output, ...], keys: tuple[str, ...]) -> None:
+        known = {*keys, *(measure.name for measure in measures)}
+        for name in self.rule.emit.once_per or ():
+            if name not in known:
+                have = ", ".join(sorted(known)) or "none"
+                message = f"once_per: {name!r} is neither a partition column nor a measure; there are: {have}"
+                raise self.rule_error(message, "emit", "once_per")
+
+    # Taking expressions apart.
+
+    def remember(self, expr: Expr) -> None:
+        """Gives each part that reads the match a register, and each that reads the row a slot."""
+        if isinstance(expr, Reference | Count):
+            self.parts.register_of[expr] = self.register(expr)
+        elif is_row_local(expr) and not is_constant(expr):
+            self.slot(expr)
+        else:
+            for operand in operands(expr):
+                self.remember(operand)
+
+    def register(self, expr: Reference | Count) -> int:
+        variable = None if expr.variable is None else self.indices[expr.variable]
+        slot = None if expr.operand is None else self.slot(expr.operand)
+        if isinstance(expr, Reference):
+            register = Register(variable, expr.which, slot)
+        else:
+            register = Register(variable, "rows" if slot is None else "values", slot)
+        registers = self.parts.registers
+        return registers.setdefault(register, len(registers))
+
+    def slot(self, expr: Expr) -> int:
+        return self.parts.slots.setdefault(expr, len(self.parts.slots))
+
+    # What the whole comes to.
+
+    def looks_back(self, tables: Tables, conditions: tuple[Condition, ...]) -> bool:
+        """Whether a position can look further back than its distance from the match's first row."""
+        own_reach = [self.own_reach(index, condition) for index, condition in enumerate(conditions)]
+        distance = dict.fromkeys(tables.follow[tables.start], 0)
+        queue = list(distance)
+        for position in queue:
+            for after in tables.follow[position]:
+                if after not in distance:
+                    distance[after] = distance[position] + 1
+                    queue.append(after)
+        return any(own_reach[tables.variables[at]] > far for at, far in distance.items())
+
+    def own_reach(self, variable: int, condition: Condition) -> int:
+        """How far before a row of this variable its condition, and what is remembered of it, looks."""
+        predicates, slots = tuple(self.parts.predicates), tuple(self.parts.slots)
+        read = [predicates[index] for index in condition.predicates]
+        read += [] if condition.guard is None else _row_local_parts(condition.guard)
+        read += [
+            slots[register.slot]
+            for register in self.parts.registers
+            if register.slot is not None and register.variable in (None, variable)
+        ]
+        return max((reach(expr) for expr in read), default=0)
+
+    def check_can_match(self, bound: BoundRule) -> None:
+        tables = bound.tables
+        hopeless = {
+            index for index, condition in enumerate(bound.conditions)
+            if any(is_constant(bound.predicates[at]) for at in condition.predicates)
+        }  # fmt: skip
+        if not tables.follow[tables.start]:
+            message = "PATTERN: it can only match no row at all, which is never a situation"
+            raise self.error(message, self.query.pattern_at)
+        queue = [at for at in tables.follow[tables.start] if tables.variables[at] not in hopeless]
+        reached = set(queue)
+        for position in queue:
+            if tables.accepts[position]:
+                return
+            for after in tables.follow[position]:
+                if tables.variables[after] not in hopeless and after not in reached:
+                    reached.add(after)
+                    queue.append(after)
+        names = ", ".join(bound.variables[index] for index in sorted(hopeless))
+        raise self.error(f"PATTERN: it can never match, because {names} can never be true", self.query.pattern_at)
+
+    def error(self, message: str, at: int) -> RuleError:
+        return self.query.passage.error(message, at)
+
+    def rule_error(self, message: str, key: str, part: str) -> RuleError:
+        passage = self.rule.passage(key)
+        return passage.error(message, max(passage.text.find(part), 0))
+
+
+def _row_local_parts(guard: Expr) -> list[Expr]:
+    if is_row_local(guard):
+        return [guard]
+    if isinstance(guard, Reference | Count):
+        return []
+    return [part for operand in operands(guard) for part in _row_local_parts(operand)]
+
+
+def pattern_variables(pattern: Pattern) -> list[Identifier]:
+    """The variables in the order in which they are written, repeats included."""
+    match pattern:
+        case Variable(name):
+            return [name]
+        case Concatenation(parts) | Alternation(parts):
+            return [name for part in parts for name in pattern_variables(part)]
+        case Repetition(body):
+            return pattern_variables(body)
+
+
+def lifted(expr: Expr) -> Expr:
+    """The expression with references around the largest parts that one row of the match decides.
+
+    `entry.time + :dwell` becomes one remembered value instead of an addition for every row. Only
+    strict operators may be lifted: NULL before the variable's first row must stay NULL.
+    """
+    expr = rebuilt(expr, lifted)
+    if isinstance(expr, Reference | Count) or not is_strict(expr):
+        return expr
+    below = operands(expr)
+    frames = {(part.variable, part.which) for part in below if isinstance(part, Reference)}
+    if len(frames) != 1 or not all(isinstance(part, Reference) or is_constant(part) for part in below):
+        return expr
+    variable, which = frames.pop()
+    inner = rebuilt(expr, lambda part: part.operand if isinstance(part, Reference) else part)
+    return Reference(variable, which, inner)
+
+
+def title_fields(rule: Rule) -> list[str]:
+    """The names between braces in the rule's title.
+
+    Raises:
+        RuleError: A brace that is not closed, or more than a name (and a format) between braces.
+    """
+    passage = rule.passage("title")
+    try:
+        fields = [(name, spec, conversion) for _, name, spec, conversion in Formatter().parse(rule.title)]
+    except ValueError as error:
+        raise passage.error(f"title: {error}", 0) from error
+    names = []
+    for name, spec, conversion in fields:
+        if name is None:
+            continue
+        if not name.isidentifier() or conversion or "{" in (spec or ""):
+            raise passage.error(f"title: wanted {{name}} or {{name:format}}, got {{{name}}}", 0)
+        names.append(name)
+    return names
+
+
+def kind_of(arrow_type: pa.DataType) -> Kind | None:
+    """The language's type of an Arrow column; None: rules cannot read it."""
+    types = pa.types
+    if types.is_dictionary(arrow_type):
+        return kind_of(arrow_type.value_type)
+    checks = (
+        (types.is_boolean, Kind.BOOL), (types.is_integer, Kind.INT), (types.is_floating, Kind.FLOAT),
+        (types.is_string, Kind.STRING), (types.is_large_string, Kind.STRING),
+        (types.is_timestamp, Kind.TIME), (types.is_duration, Kind.DURATION),
+    )  # fmt: skip
+    return next((kind for check, kind in checks if check(arrow_type)), None)

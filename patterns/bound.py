@@ -1,0 +1,104 @@
+"""A rule bound to the columns of its event type: what the engine runs.
+
+Made by `patterns.binder`, which alone knows names; read by `patterns.engine`,
+which alone knows rows.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from patterns.expressions import Expr, Kind, Which
+from patterns.geometry import FrameSize
+from patterns.limits import Limits
+from patterns.program import Instruction, Tables
+from patterns.rule import Rule
+from patterns.syntax import SkipMode
+
+
+@dataclass(frozen=True, slots=True)
+class Register:
+    """What a match remembers: a slot's value at a variable's first or last row, or a number of rows.
+
+    Attributes:
+        variable: Index of the variable; None: any.
+        how: `first`, `last`, `rows` (how many), or `values` (how many with a slot that is not NULL).
+        slot: Which slot; None for `rows`.
+    """
+
+    variable: int | None
+    how: Which | str
+    slot: int | None
+
+
+@dataclass(frozen=True, slots=True)
+class Condition:
+    """One variable's DEFINE.
+
+    Attributes:
+        predicates: Row-local conditions that must all be true, as indices.
+        guard: What else must be true; None: nothing.
+    """
+
+    predicates: tuple[int, ...]
+    guard: Expr | None
+
+
+@dataclass(frozen=True, slots=True)
+class Output:
+    """A named value of a situation: a measure, or a column of the last row that the title shows."""
+
+    name: str
+    value: Expr
+
+
+@dataclass(frozen=True)
+class BoundRule:
+    """A rule, ready to run.
+
+    Attributes:
+        rule: The rule.
+        type: The event type after FROM.
+        variables: Pattern variables by index.
+        program: The pattern.
+        tables: The same, as the matcher takes it.
+        columns: The columns read, with their types; `source` among them.
+        keys: The partition columns.
+        where: The filter of FROM.
+        predicates: Row-local conditions, each once.
+        slots: Row-local values that guards and registers read.
+        registers: What a match remembers.
+        register_of: Which register holds an expression.
+        conditions: For each variable.
+        measures: In order.
+        title_columns: What the title shows beside measures and partition columns.
+        within_us: WITHIN in microseconds.
+        skip: AFTER MATCH SKIP, and the index of its variable.
+        skip_variable: Index of the variable of SKIP TO.
+        reach: How many rows before the row at hand any expression looks at.
+        looks_back: Whether a match's first rows look at rows before the match.
+        frame_sizes: Known when bound, (width, height) in pixels.
+        limits: What the rule may use.
+    """
+
+    rule: Rule
+    type: str
+    variables: tuple[str, ...]
+    program: tuple[Instruction, ...]
+    tables: Tables
+    columns: Mapping[str, Kind]
+    keys: tuple[str, ...]
+    where: Expr | None
+    predicates: tuple[Expr, ...]
+    slots: tuple[Expr, ...]
+    registers: tuple[Register, ...]
+    register_of: Mapping[Expr, int]
+    conditions: tuple[Condition, ...]
+    measures: tuple[Output, ...]
+    title_columns: tuple[Output, ...]
+    within_us: int | None
+    skip: SkipMode
+    skip_variable: int | None
+    reach: int
+    looks_back: bool
+    frame_sizes: Mapping[str, FrameSize]
+    limits: Limits

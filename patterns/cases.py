@@ -1,0 +1,186 @@
+"""Running the tests that a rule's own file holds.
+
+A test gives rows, as a CSV file beside the rule or inline, and the situations
+wanted of them. Rows may leave out the envelope: `sequence` counts from 1,
+`station` is `test`, `source` is the only source that the rule's zones and lines
+name, or `test`, and columns that are not given are NULL.
+"""
+
+import csv
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+
+from patterns.binder import bind
+from patterns.bound import BoundRule
+from patterns.columns import arrow_type
+from patterns.durations import parse_duration
+from patterns.errors import PatternError, RuleError
+from patterns.expressions import Kind
+from patterns.rule import Case, Rule
+from patterns.running import match
+from patterns.situations import Match
+
+_FLOAT_TOLERANCE = 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class TestResult:
+    """How one test went.
+
+    Attributes:
+        rule: The rule's name.
+        name: The test's name.
+        passed: Whether exactly the wanted situations were found.
+        difference: Wanted and found side by side, one line each; empty if it passed.
+    """
+
+    __test__ = False
+
+    rule: str
+    name: str
+    passed: bool
+    difference: str
+
+
+def run_tests(rule: Rule, schemas: Mapping[str, pa.Schema]) -> list[TestResult]:
+    """The results of the rule's tests, in their order.
+
+    Raises:
+        RuleError: The rule cannot be bound, or a test's rows cannot be read.
+    """
+    return [_result(rule, schemas, index, case) for index, case in enumerate(rule.tests)]
+
+
+def _result(rule: Rule, schemas: Mapping[str, pa.Schema], index: int, case: Case) -> TestResult:
+    bound = bind(rule, schemas, case.frames)
+    name = case.name or (case.given if isinstance(case.given, str) else f"test {index + 1}")
+    try:
+        rows = case_rows(bound, index)
+        found = match(bound, rows)
+    except RuleError:
+        raise
+    except PatternError as error:
+        return TestResult(rule.rule, name, passed=False, difference=f"! {error}")
+    difference = compared(case.expect, found)
+    return TestResult(rule.rule, name, passed=not difference, difference=difference)
+
+
+def case_rows(bound: BoundRule, index: int) -> pa.Table:
+    """The rows of the rule's test of this index.
+
+    Raises:
+        RuleError: The CSV file is not there, or a value is not of its column's type.
+    """
+    rule = bound.rule
+    given = rule.tests[index].given
+    records: Iterable[Mapping[str, Any]] = _csv_records(rule, index, given) if isinstance(given, str) else given
+    kinds = {"time": Kind.TIME, "sequence": Kind.INT, "station": Kind.STRING, "type": Kind.STRING, **bound.columns}
+    sources = {shape.source for shape in (*rule.zones.values(), *rule.lines.values())}
+    source = sources.pop() if len(sources) == 1 else "test"
+    columns: dict[str, list[Any]] = {name: [] for name in kinds}
+    for number, record in enumerate(records, start=1):
+        defaults = {"sequence": number, "station": "test", "source": source, "type": bound.type}
+        for name, kind in kinds.items():
+            value = record.get(name)
+            try:
+                columns[name].append(defaults.get(name) if value is None else _typed(value, kind))
+            except ValueError as error:
+                message = f"row {number}, column {name}: {error}"
+                raise rule.passage("tests", index, "given").error(message, 0) from error
+    arrays = {name: pa.array(values, _column_type(kinds[name])) for name, values in columns.items()}
+    return pa.table(arrays)
+
+
+def compared(wanted: Sequence[Mapping[str, Any]], found: Sequence[Match]) -> str:
+    """The difference, one line a situation: `  ` as wanted, `- ` wanted but not found, `+ ` found but not wanted.
+
+    Wanted and found are paired in order; empty if nothing differs.
+    """
+    lines = []
+    is_equal = len(wanted) == len(found)
+    for index in range(max(len(wanted), len(found))):
+        want = wanted[index] if index < len(wanted) else None
+        have = _said(found[index]) if index < len(found) else None
+        if want is not None and have is not None and _agrees(want, have):
+            lines.append(f"  {_shown(want)}")
+            continue
+        is_equal = False
+        if want is not None:
+            lines.append(f"- {_shown(want)}")
+        if have is not None:
+            names = want or found[index].measures or found[index].partition
+            lines.append(f"+ {_shown({name: have.get(name, '(no such value)') for name in names})}")
+    return "" if is_equal else "\n".join(lines)
+
+
+def _said(found: Match) -> dict[str, Any]:
+    return {"title": found.title, **found.partition, **found.measures}
+
+
+def _agrees(want: Mapping[str, Any], have: Mapping[str, Any]) -> bool:
+    return all(name in have and _is_same(value, have[name]) for name, value in want.items())
+
+
+def _is_same(want: Any, have: Any) -> bool:
+    if isinstance(have, timedelta) and isinstance(want, str):
+        return parse_duration(want) == have
+    if isinstance(have, datetime):
+        return isinstance(want, datetime | str) and _time(want) == have
+    if isinstance(have, float) and isinstance(want, int | float):
+        return abs(have - want) <= _FLOAT_TOLERANCE * max(1.0, abs(want))
+    return bool(want == have)
+
+
+def _shown(values: Mapping[str, Any]) -> str:
+    return ", ".join(f"{name}: {_plain(value)}" for name, value in values.items()) or "(a situation)"
+
+
+def _plain(value: Any) -> str:
+    if isinstance(value, datetime):
+        return _time(value).isoformat().replace("+00:00", "Z")
+    return f"{value.total_seconds():g} s" if isinstance(value, timedelta) else str(value)
+
+
+def _csv_records(rule: Rule, index: int, name: str) -> Iterable[Mapping[str, Any]]:
+    folder = rule.path.parent if rule.path is not None else Path()
+    try:
+        with (folder / name).open(newline="", encoding="utf-8") as file:
+            records = list(csv.DictReader(file))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        passage = rule.passage("tests", index, "given")
+        raise passage.error(f"cannot read {folder / name}: {error}", 0) from error
+    return [{key: value for key, value in record.items() if value != ""} for record in records]
+
+
+def _typed(value: Any, kind: Kind) -> Any:
+    """A cell of a test as a value of this type.
+
+    Raises:
+        ValueError: It is not one.
+    """
+    if kind is Kind.TIME:
+        return _time(value)
+    if kind is Kind.DURATION:
+        return parse_duration(value) if isinstance(value, str) else value
+    if kind is Kind.BOOL and isinstance(value, str):
+        if value.lower() not in ("true", "false"):
+            raise ValueError(f"wanted true or false, got {value!r}")
+        return value.lower() == "true"
+    wanted = {Kind.INT: int, Kind.FLOAT: float, Kind.STRING: str}.get(kind)
+    return value if wanted is None else wanted(value)
+
+
+def _time(value: Any) -> datetime:
+    time = datetime.fromisoformat(value) if isinstance(value, str) else value
+    if not isinstance(time, datetime):
+        raise ValueError(f"wanted a time such as 2026-01-01T10:00:00Z, got {value!r}")
+    return time.replace(tzinfo=UTC) if time.tzinfo is None else time.astimezone(UTC)
+
+
+def _column_type(kind: Kind) -> Any:
+    return {Kind.TIME: pa.timestamp("us", "UTC"), Kind.DURATION: pa.duration("us")}.get(kind) or arrow_type(kind)

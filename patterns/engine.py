@@ -1,0 +1,347 @@
+"""The engine: a bound rule over rows that are final, in the total order.
+
+Between the rows and the matcher: rows are grouped by partition, what they
+alone decide is evaluated over columns, rows that no match can begin at and no
+partial match waits for are passed over, and the matcher gets the rest as
+integers. It knows nothing of watermarks; `patterns.run` releases the rows.
+"""
+
+import heapq
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from itertools import count
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from patterns.bound import BoundRule, Register
+from patterns.columns import ColumnEvaluator, Places, Rows
+from patterns.errors import LimitError
+from patterns.expressions import walk
+from patterns.geometry import FrameSize
+from patterns.guards import UNSET, compile_guard
+from patterns.matcher import Block, Found, Machine, Matcher, Partition, Update
+from patterns.rows import SEQUENCE, STREAM, TIME, partition_codes
+
+Key = tuple[Any, ...]
+
+
+@dataclass(slots=True)
+class Open:
+    """What is remembered of one partition.
+
+    Attributes:
+        partition: Its partial matches.
+        tail: Its last rows, as far back as the rule looks.
+        due_us: The deadline under which it waits in the queue.
+    """
+
+    partition: Partition = field(default_factory=Partition)
+    tail: Sequence[tuple[Any, ...]] = ()
+    due_us: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class _Grouped:
+    """Rows sorted by partition, with the tails of their partitions before them.
+
+    Attributes:
+        table: The rows.
+        bounds: Where each group begins, and the end.
+        fresh: For each group, where its rows begin that are new; before are those of its tail.
+        keys: For each group, its partition columns.
+    """
+
+    table: pa.Table
+    bounds: NDArray[np.int64]
+    fresh: NDArray[np.int64]
+    keys: list[Key]
+
+
+class Engine:
+    """Runs one rule. Partitions are independent; those with nothing to remember are forgotten."""
+
+    def __init__(self, bound: BoundRule, frame_sizes: dict[str, FrameSize]) -> None:
+        self.bound = bound
+        self.places = Places(bound.rule.zones, bound.rule.lines, frame_sizes)
+        self.masks = tuple(sum(1 << at for at in each.predicates) for each in bound.conditions)
+        self.matcher = Matcher(machine_of(bound, self.places, self.masks))
+        self.open: dict[Key, Open] = {}
+        self._due: list[tuple[int, int, Key]] = []
+        self._serial = count()
+
+    def take(self, rows: pa.Table) -> list[tuple[Key, Found]]:
+        """The matches that these rows, the next in the total order, make final; partition by partition.
+
+        Raises:
+            MatchError: The rule cannot go on with these rows.
+        """
+        rows = self._filtered(rows)
+        if rows.num_rows == 0:
+            return []
+        grouped = self._grouped(rows)
+        evaluator = self._evaluator(grouped)
+        truths = [evaluator.truth(predicate) for predicate in self.bound.predicates]
+        starts = self._starts(truths, grouped)
+        active = self._active(grouped, starts)
+        block = self._block(grouped, evaluator, truths, starts, active)
+        return self._run(grouped, block, active)
+
+    def expire(self, until_us: int) -> list[tuple[Key, Found]]:
+        """The matches made final because no row before this time is still to come."""
+        found: list[tuple[Key, Found]] = []
+        while self._due and self._due[0][0] <= until_us:
+            due_us, _, key = heapq.heappop(self._due)
+            state = self.open.get(key)
+            if state is None or state.due_us != due_us:
+                continue
+            state.due_us = None
+            found += [(key, each) for each in self.matcher.expire(state.partition, until_us)]
+            self._keep(key, state)
+        return found
+
+    def finish(self) -> list[tuple[Key, Found]]:
+        """The matches made final because there are no more rows; everything is forgotten."""
+        found = [
+            (key, each) for key, state in self.open.items() for each in self.matcher.finish(state.partition)
+        ]  # fmt: skip
+        self.open.clear()
+        self._due.clear()
+        return found
+
+    def put(self, key: Key, state: Open) -> None:
+        """Remembers a partition that was saved."""
+        self._keep(key, state)
+
+    # From rows to columns.
+
+    def _filtered(self, rows: pa.Table) -> pa.Table:
+        if self.bound.where is None or rows.num_rows == 0:
+            return rows
+        evaluator = ColumnEvaluator(Rows(rows, np.zeros(rows.num_rows, dtype=np.int64)), self.places)
+        return rows.filter(pa.array(evaluator.truth(self.bound.where)))
+
+    def _grouped(self, rows: pa.Table) -> _Grouped:
+        codes = partition_codes(rows, self.bound.keys)
+        order = np.argsort(codes, kind="stable")
+        codes = codes[order]
+        table = rows.take(pa.array(order)).combine_chunks() if np.any(np.diff(order) < 0) else rows.combine_chunks()
+        bounds = np.concatenate(([0], np.flatnonzero(np.diff(codes)) + 1, [len(codes)]))
+        heads = table.select(list(self.bound.keys)).take(pa.array(bounds[:-1]))
+        columns = [heads.column(name).to_pylist() for name in self.bound.keys]
+        keys: list[Key] = list(zip(*columns, strict=True)) if columns else [()]
+        return self._with_tails(_Grouped(table, bounds, bounds[:-1], keys))
+
+    def _with_tails(self, grouped: _Grouped) -> _Grouped:
+        """The groups, each after the rows that its partition remembers."""
+        if self.bound.reach == 0 or not self.open:
+            return grouped
+        states = [self.open.get(key) for key in grouped.keys]
+        tails = [state.tail if state is not None else () for state in states]
+        counts = np.array([len(tail) for tail in tails], dtype=np.int64)
+        if not counts.any():
+            return grouped
+        lengths = np.diff(grouped.bounds)
+        groups = np.arange(len(lengths))
+        order = np.argsort(np.concatenate((np.repeat(groups, counts), np.repeat(groups, lengths))), kind="stable")
+        before = _as_table([row for tail in tails for row in tail], grouped.table.schema)
+        table = pa.concat_tables([before, grouped.table]).take(pa.array(order)).combine_chunks()
+        bounds = np.concatenate(([0], np.cumsum(counts + lengths)))
+        return _Grouped(table, bounds, bounds[:-1] + counts, grouped.keys)
+
+    def _evaluator(self, grouped: _Grouped) -> ColumnEvaluator:
+        lengths = np.diff(grouped.bounds)
+        ordinals = np.arange(grouped.table.num_rows, dtype=np.int64) - np.repeat(grouped.bounds[:-1], lengths)
+        return ColumnEvaluator(Rows(grouped.table, ordinals), self.places)
+
+    # From columns to the rows that matter.
+
+    def _starts(self, truths: list[NDArray[np.bool_]], grouped: _Grouped) -> NDArray[np.bool_]:
+        """Which new rows a match could begin at, judged by the row and the one after it."""
+        tables = self.bound.tables
+        able = self._able(truths, grouped.table.num_rows)
+        is_last = np.zeros(grouped.table.num_rows, dtype=bool)
+        is_last[grouped.bounds[1:] - 1] = True
+        starts = np.zeros(grouped.table.num_rows, dtype=bool)
+        seen: set[tuple[int, frozenset[int] | None]] = set()
+        for position in tables.follow[tables.start]:
+            first = tables.variables[position]
+            after = None if tables.accepts[position] else frozenset(
+                tables.variables[each] for each in tables.follow[position]
+            )  # fmt: skip
+            if (first, after) in seen:
+                continue
+            seen.add((first, after))
+            if after is None:
+                starts |= able[first]
+                continue
+            goes_on = np.logical_or.reduce([able[variable] for variable in after])
+            starts |= able[first] & (is_last | np.append(goes_on[1:], False))
+        for begin, fresh in zip(grouped.bounds[:-1], grouped.fresh, strict=True) if self._has_tails(grouped) else ():
+            starts[begin:fresh] = False
+        return starts
+
+    def _able(self, truths: list[NDArray[np.bool_]], rows: int) -> list[NDArray[np.bool_]]:
+        """For each variable, the rows whose row-local conditions hold."""
+        everywhere = np.ones(rows, dtype=bool)
+        return [
+            np.logical_and.reduce([truths[at] for at in each.predicates]) if each.predicates else everywhere
+            for each in self.bound.conditions
+        ]
+
+    def _has_tails(self, grouped: _Grouped) -> bool:
+        return bool(np.any(grouped.fresh != grouped.bounds[:-1]))
+
+    def _active(self, grouped: _Grouped, starts: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Which groups have a start, or partial matches that wait."""
+        active = np.logical_or.reduceat(starts, grouped.bounds[:-1])
+        if self.open:
+            waits = (key in self.open and bool(self.open[key].partition.attempts) for key in grouped.keys)
+            active |= np.fromiter(waits, dtype=bool, count=len(grouped.keys))
+        return active
+
+    def _block(
+        self,
+        grouped: _Grouped,
+        evaluator: ColumnEvaluator,
+        truths: list[NDArray[np.bool_]],
+        starts: NDArray[np.bool_],
+        active: NDArray[np.bool_],
+    ) -> Block:
+        """The new rows of the active groups, one after the other, as the matcher takes them."""
+        lengths = np.diff(grouped.bounds)
+        is_fresh = np.arange(grouped.table.num_rows) >= np.repeat(grouped.fresh, lengths)
+        kept = np.flatnonzero(np.repeat(active, lengths) & is_fresh)
+        bits = np.zeros(len(kept), dtype=np.int64)
+        for at, truth in enumerate(truths):
+            bits |= truth[kept].astype(np.int64) << at
+        events = [grouped.table.column(name).to_numpy()[kept].tolist() for name in (STREAM, SEQUENCE, TIME)]
+        slots = [evaluator.column(slot).take(pa.array(kept)).to_pylist() for slot in self.bound.slots]
+        values = list(zip(*slots, strict=True)) if slots else [()] * len(kept)
+        return Block(bits.tolist(), list(zip(*events, strict=True)), values, np.flatnonzero(starts[kept]).tolist())
+
+    def _run(self, grouped: _Grouped, block: Block, active: NDArray[np.bool_]) -> list[tuple[Key, Found]]:
+        found: list[tuple[Key, Found]] = []
+        at = 0
+        wanted = range(len(grouped.keys)) if self.bound.looks_back else np.flatnonzero(active).tolist()
+        for group in wanted:
+            key = grouped.keys[group]
+            state = self.open.get(key) or Open()
+            if active[group]:
+                length = int(grouped.bounds[group + 1] - grouped.fresh[group])
+                found += [(key, each) for each in self.matcher.run(state.partition, block, at, at + length)]
+                at += length
+            self._keep(key, state)
+        if self.bound.reach:
+            self._keep_tails(grouped, [group for group in wanted if grouped.keys[group] in self.open])
+        return found
+
+    def _keep_tails(self, grouped: _Grouped, groups: list[int]) -> None:
+        """Remembers the last rows of these groups, as many as any expression looks back."""
+        ends = [int(grouped.bounds[group + 1]) for group in groups]
+        begins = [
+            max(int(grouped.bounds[group]), end - self.bound.reach) for group, end in zip(groups, ends, strict=True)
+        ]  # fmt: skip
+        indices = [at for begin, end in zip(begins, ends, strict=True) for at in range(begin, end)]
+        columns = [column.to_pylist() for column in grouped.table.take(pa.array(indices, pa.int64())).columns]
+        rows = list(zip(*columns, strict=True))
+        at = 0
+        for group, begin, end in zip(groups, begins, ends, strict=True):
+            self.open[grouped.keys[group]].tail = rows[at : at + end - begin]
+            at += end - begin
+
+    def _keep(self, key: Key, state: Open) -> None:
+        """Remembers the partition if it has anything to remember, and when it falls due."""
+        attempts = state.partition.attempts
+        if not attempts and not self.bound.looks_back:
+            self.open.pop(key, None)
+            return
+        self.open[key] = state
+        if len(self.open) > self.bound.limits.partitions:
+            raise LimitError(
+                f"rule {self.bound.rule.rule} remembers {len(self.open)} partitions; the limit `partitions` is "
+                f"{self.bound.limits.partitions}. A WITHIN lets partitions be forgotten"
+            )
+        due_us = self.matcher.deadline(attempts[0]) if attempts else None
+        if due_us is not None and state.due_us is None:
+            state.due_us = due_us
+            heapq.heappush(self._due, (due_us, next(self._serial), key))
+
+
+def _as_table(rows: Sequence[tuple[Any, ...]], schema: pa.Schema) -> pa.Table:
+    columns = zip(*rows, strict=True)
+    return pa.table([pa.array(column, each.type) for column, each in zip(columns, schema, strict=True)], schema=schema)
+
+
+def machine_of(bound: BoundRule, places: Places, masks: tuple[int, ...]) -> Machine:
+    """What the matcher needs to know of the rule."""
+    tables = bound.tables
+    slots = {slot: index for index, slot in enumerate(bound.slots)}
+    register_of = dict(bound.register_of)
+    guards = [
+        None if each.guard is None else compile_guard(each.guard, slots, register_of, places)
+        for each in bound.conditions
+    ]
+    updates = [_updates(bound.registers, variable) for variable in range(len(bound.variables))]
+    return Machine(
+        tables=tables,
+        masks=tuple(masks[variable] for variable in tables.variables),
+        guards=tuple(guards[variable] for variable in tables.variables),
+        updates=tuple(updates[variable] for variable in tables.variables),
+        live=live_registers(bound),
+        registers=tuple(_initial(register) for register in bound.registers),
+        within_us=bound.within_us,
+        skip=bound.skip,
+        skip_variable=bound.skip_variable,
+        threads_most=bound.limits.threads,
+    )
+
+
+def live_registers(bound: BoundRule) -> tuple[tuple[int, ...], ...]:
+    """For each position the registers whose value after it can still change which match is found.
+
+    Backward data flow over the pattern's positions, to the fixed point.
+    """
+    tables = bound.tables
+    reads = [_guard_reads(bound, variable) for variable in range(len(bound.variables))]
+    written = [
+        {index for index, register in enumerate(bound.registers) if register.variable in (None, variable)}
+        for variable in range(len(bound.variables))
+    ]
+    overwritten = [{index for index in each if bound.registers[index].how == "last"} for each in written]
+    live: list[set[int]] = [set() for _ in tables.variables]
+    changed = True
+    while changed:
+        changed = False
+        for position in range(len(live)):
+            needed: set[int] = set()
+            for after in tables.follow[position]:
+                variable = tables.variables[after]
+                needed |= (reads[variable] | live[after]) - overwritten[variable]
+            if needed != live[position]:
+                live[position] = needed
+                changed = True
+    return tuple(tuple(sorted(each)) for each in live)
+
+
+def _guard_reads(bound: BoundRule, variable: int) -> set[int]:
+    guard = bound.conditions[variable].guard
+    if guard is None:
+        return set()
+    return {bound.register_of[part] for part in walk(guard) if part in bound.register_of}
+
+
+def _updates(registers: tuple[Register, ...], variable: int) -> tuple[Update, ...]:
+    return tuple(
+        (index, register.how, -1 if register.slot is None else register.slot)
+        for index, register in enumerate(registers)
+        if register.variable in (None, variable)
+    )
+
+
+def _initial(register: Register) -> Any:
+    if register.how in ("rows", "values"):
+        return 0
+    return UNSET if register.how == "first" else None

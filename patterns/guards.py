@@ -1,0 +1,264 @@
+"""Match-dependent expressions over single values: conditions on what a match has seen so far.
+
+An expression becomes a closure over two sequences: `row`, the values of
+columns at the row at hand, and `registers`, what the match remembers. It must
+agree with `patterns.columns`, value by value.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from patterns.columns import Places
+from patterns.expressions import Call, Const, Crosses, Expr, InZone, Value
+from patterns.geometry import crosses_line, in_polygon
+
+Guard = Callable[[Sequence[Any], Sequence[Any]], Any]
+"""(values of the row at hand, registers) -> the value; None is NULL."""
+
+UNSET: tuple[()] = ()
+"""A register that nothing was written to: reads as NULL, but differs from a NULL that was written."""
+
+
+def compile_guard(expr: Expr, slots: dict[Expr, int], registers: dict[Expr, int], places: Places) -> Guard:
+    """The expression as a closure.
+
+    Args:
+        expr: Its row-local and remembered parts must all be in `slots` or `registers`.
+        slots: Where in the row's values each row-local part stands.
+        registers: Which register holds each remembered part.
+        places: The zones and lines.
+    """
+    if expr in registers:
+        return _register(registers[expr])
+    if expr in slots:
+        return _slot(slots[expr])
+    if isinstance(expr, Const):
+        return _constant(expr.value)
+    below = [compile_guard(part, slots, registers, places) for part in _operands(expr)]
+    if isinstance(expr, InZone):
+        return _in_zone(expr, below, places)
+    if isinstance(expr, Crosses):
+        return _crosses(expr, below, places)
+    assert isinstance(expr, Call), f"nothing holds {expr}"
+    if expr.op in _LENIENT:
+        return _LENIENT[expr.op](below)
+    return _strict(_OPERATORS[expr.op], below)
+
+
+def _operands(expr: Expr) -> tuple[Expr, ...]:
+    assert isinstance(expr, Call | InZone | Crosses), f"nothing holds {expr}"
+    return expr.operands
+
+
+def _register(index: int) -> Guard:
+    def read(row: Sequence[Any], registers: Sequence[Any]) -> Any:
+        value = registers[index]
+        return None if value is UNSET else value
+
+    return read
+
+
+def _slot(index: int) -> Guard:
+    return lambda row, registers: row[index]
+
+
+def _constant(value: Value) -> Guard:
+    return lambda row, registers: value
+
+
+def _strict(operator: Callable[..., Any], below: list[Guard]) -> Guard:
+    if len(below) == 2:
+        first, second = below
+
+        def binary(row: Sequence[Any], registers: Sequence[Any]) -> Any:
+            left = first(row, registers)
+            if left is None:
+                return None
+            right = second(row, registers)
+            return None if right is None else operator(left, right)
+
+        return binary
+
+    def call(row: Sequence[Any], registers: Sequence[Any]) -> Any:
+        values = [part(row, registers) for part in below]
+        return None if None in values else operator(*values)
+
+    return call
+
+
+def _and(below: list[Guard]) -> Guard:
+    def every(row: Sequence[Any], registers: Sequence[Any]) -> Any:
+        result: bool | None = True
+        for part in below:
+            value = part(row, registers)
+            if value is False:
+                return False
+            if value is None:
+                result = None
+        return result
+
+    return every
+
+
+def _or(below: list[Guard]) -> Guard:
+    def some(row: Sequence[Any], registers: Sequence[Any]) -> Any:
+        result: bool | None = False
+        for part in below:
+            value = part(row, registers)
+            if value is True:
+                return True
+            if value is None:
+                result = None
+        return result
+
+    return some
+
+
+def _is_null(below: list[Guard]) -> Guard:
+    (operand,) = below
+    return lambda row, registers: operand(row, registers) is None
+
+
+def _coalesce(below: list[Guard]) -> Guard:
+    def coalesce(row: Sequence[Any], registers: Sequence[Any]) -> Any:
+        values = (part(row, registers) for part in below)
+        return next((value for value in values if value is not None), None)
+
+    return coalesce
+
+
+def _case(below: list[Guard]) -> Guard:
+    branches = list(zip(below[:-1:2], below[1:-1:2], strict=True))
+
+    def case(row: Sequence[Any], registers: Sequence[Any]) -> Any:
+        for condition, value in branches:
+            if condition(row, registers) is True:
+                return value(row, registers)
+        return below[-1](row, registers)
+
+    return case
+
+
+def _in_zone(expr: InZone, below: list[Guard], places: Places) -> Guard:
+    zone = places.zones[expr.zone]
+
+    def in_zone(row: Sequence[Any], registers: Sequence[Any]) -> Any:
+        source, *point = [part(row, registers) for part in below]
+        if source != zone.source:
+            return False
+        if not _all_finite(point):
+            return None
+        polygon = zone.polygon_px(places.frame_size(zone, expr.zone))
+        return bool(in_polygon(polygon, np.array(point[:1]), np.array(point[1:]))[0])
+
+    return in_zone
+
+
+def _crosses(expr: Crosses, below: list[Guard], places: Places) -> Guard:
+    line = places.lines[expr.line]
+
+    def crosses(row: Sequence[Any], registers: Sequence[Any]) -> Any:
+        source, *step = [part(row, registers) for part in below]
+        if source != line.source:
+            return False
+        if not _all_finite(step):
+            return None
+        points = line.points_px(places.frame_size(line, expr.line))
+        x0, y0, x1, y1 = (np.array([value]) for value in step)
+        return bool(crosses_line(points, (x0, y0, x1, y1), expr.direction)[0])
+
+    return crosses
+
+
+def _all_finite(values: list[Any]) -> bool:
+    return all(value is not None and math.isfinite(value) for value in values)
+
+
+def _wrapped(value: int) -> int:
+    """The integer as 64 bits hold it, so that both evaluators overflow alike."""
+    return (value + 2**63) % 2**64 - 2**63
+
+
+def _add(left: Any, right: Any) -> Any:
+    return _wrapped(left + right) if isinstance(left, int) else left + right
+
+
+def _subtract(left: Any, right: Any) -> Any:
+    return _wrapped(left - right) if isinstance(left, int) else left - right
+
+
+def _multiply(left: Any, right: Any) -> Any:
+    return _wrapped(left * right) if isinstance(left, int) else left * right
+
+
+def _divide(left: Any, right: Any) -> Any:
+    if right == 0:
+        return None
+    if isinstance(left, int):
+        return _wrapped(abs(left) // abs(right) * (1 if (left < 0) == (right < 0) else -1))
+    return left / right
+
+
+def _remainder(left: int, right: int) -> int | None:
+    return None if right == 0 else int(math.copysign(1, left)) * (abs(left) % abs(right))
+
+
+def _scale(duration: int, factor: float) -> int | None:
+    return _rounded(float(duration) * factor)
+
+
+def _shrink(duration: int, divisor: float) -> int | None:
+    return None if divisor == 0 else _rounded(float(duration) / divisor)
+
+
+def _rounded(microseconds: float) -> int | None:
+    return round(microseconds) if abs(microseconds) < 2.0**63 else None
+
+
+def _negate(value: Any) -> Any:
+    return _wrapped(-value) if isinstance(value, int) else -value
+
+
+def _absolute(value: Any) -> Any:
+    return _wrapped(abs(value)) if isinstance(value, int) else abs(value)
+
+
+def _root(value: float) -> float | None:
+    return None if value < 0 else math.sqrt(value)
+
+
+def _least(*values: Any) -> Any:
+    result = values[0]
+    for value in values[1:]:
+        result = result if result <= value else value
+    return result
+
+
+def _greatest(*values: Any) -> Any:
+    result = values[0]
+    for value in values[1:]:
+        result = result if result >= value else value
+    return result
+
+
+_OPERATORS: dict[str, Callable[..., Any]] = {
+    "+": _add, "-": _subtract, "*": _multiply, "/": _divide, "%": _remainder,
+    "ratio": lambda left, right: _divide(float(left), float(right)), "scale": _scale, "shrink": _shrink,
+    "float": float, "neg": _negate, "abs": _absolute, "sqrt": _root,
+    "=": lambda left, right: left == right, "<>": lambda left, right: left != right,
+    "<": lambda left, right: left < right, "<=": lambda left, right: left <= right,
+    ">": lambda left, right: left > right, ">=": lambda left, right: left >= right,
+    "not": lambda value: not value, "least": _least, "greatest": _greatest,
+}  # fmt: skip
+_LENIENT: dict[str, Callable[[list[Guard]], Guard]] = {
+    "and": _and, "or": _or, "is_null": _is_null, "coalesce": _coalesce, "case": _case,
+}  # fmt: skip
+
+
+def constant_value(expr: Expr) -> Value:
+    """The value of an expression that no row decides."""
+    value: Value = compile_guard(expr, {}, {}, Places({}, {}, {}))((), ())
+    return value

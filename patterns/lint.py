@@ -1,0 +1,89 @@
+"""Checking a rule without running it: everything that is wrong or looks wrong, with its place."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import pyarrow as pa
+
+from patterns.binder import bind
+from patterns.bound import BoundRule
+from patterns.errors import Place, RuleError
+from patterns.expressions import Crosses, Expr, InZone, walk
+from patterns.parser import parse
+from patterns.rule import Rule
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One thing that is wrong (`error`: the rule cannot run) or looks wrong (`warning`)."""
+
+    severity: Literal["error", "warning"]
+    message: str
+    place: Place
+
+    def __str__(self) -> str:
+        place = self.place
+        return f"{place.file}:{place.line}:{place.column}: {self.severity}: {self.message}\n{place.excerpt}"
+
+
+def check(rule: Rule, schemas: Mapping[str, pa.Schema]) -> list[Finding]:
+    """What is wrong with the rule; an error keeps it from running, and hides what could be found after it."""
+    try:
+        bound = bind(rule, schemas)
+    except RuleError as error:
+        return [Finding("error", error.message, Place(error.file, error.line, error.column, error.excerpt))]
+    return [*_unused(bound), *_unbounded(bound), *_unchecked(bound)]
+
+
+def _unused(bound: BoundRule) -> list[Finding]:
+    """Zones, lines and parameters that the SQL never names."""
+    rule = bound.rule
+    used: set[str] = set()
+    for expr in _expressions(bound):
+        for part in walk(expr):
+            if isinstance(part, InZone):
+                used.add(part.zone)
+            elif isinstance(part, Crosses):
+                used.add(part.line)
+    findings = []
+    for field, names in (("zones", rule.zones), ("lines", rule.lines)):
+        findings += [
+            _warning(rule, f"{field[:-1]} {name!r} is never used", field, name) for name in names if name not in used
+        ]
+    query = parse(rule.passage("match"))
+    text = query.passage.text
+    findings += [
+        _warning(rule, f"parameter {name!r} is never used", "params", name)
+        for name in rule.params if f":{name}" not in text
+    ]  # fmt: skip
+    return findings
+
+
+def _unbounded(bound: BoundRule) -> list[Finding]:
+    """Rules that may remember a partition for ever."""
+    at = parse(bound.rule.passage("match")).pattern_at
+    place = bound.rule.passage("match").place(at)
+    if bound.looks_back:
+        message = "PREV looks at rows before the match, so a row of every partition is remembered for good"
+        return [Finding("warning", message, place)]
+    if bound.within_us is None:
+        message = "without WITHIN, a partial match of a partition that falls silent is remembered for good"
+        return [Finding("warning", message, place)]
+    return []
+
+
+def _unchecked(bound: BoundRule) -> list[Finding]:
+    if bound.rule.profile != "portable":
+        return []
+    return [_warning(bound.rule, "the portable profile is not checked yet", "profile")]
+
+
+def _expressions(bound: BoundRule) -> tuple[Expr, ...]:
+    guards = tuple(each.guard for each in bound.conditions if each.guard is not None)
+    where = () if bound.where is None else (bound.where,)
+    return (*bound.predicates, *bound.slots, *guards, *where, *(measure.value for measure in bound.measures))
+
+
+def _warning(rule: Rule, message: str, *path: str) -> Finding:
+    return Finding("warning", message, rule.passage(*path).place(0))

@@ -1,0 +1,200 @@
+"""Rule files: YAML in, rules out, each value knowing its place in the file.
+
+One file is one rule. PyYAML's nodes keep where every value stands, so an error
+in a value, or at any character of the SQL, names its line and column in the
+file. The SQL is parsed when the rule is loaded, and bound later.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+from pydantic import ValidationError
+from yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
+
+from patterns.errors import RuleError
+from patterns.parser import parse
+from patterns.rule import Rule
+from patterns.text import Document, Passage
+
+FILE_SIZE_MOST = 1_000_000
+
+KeyPath = tuple[str | int, ...]
+
+
+def load_rules(path: Path) -> list[Rule]:
+    """The rule of a file, or the rules of all `*.yaml` and `*.yml` files of a directory, by file name.
+
+    Raises:
+        RuleError: A file that is not a rule, or two rules of one name.
+        OSError: A file that cannot be read.
+    """
+    path = Path(path)
+    if not path.is_dir():
+        return [load_rule(path)]
+    files = sorted(each for each in path.iterdir() if each.suffix in (".yaml", ".yml"))
+    rules: dict[str, Rule] = {}
+    for file in files:
+        rule = load_rule(file)
+        if rule.rule in rules:
+            other = rules[rule.rule].path
+            raise rule.passage("rule").error(f"rule {rule.rule!r} is also defined in {other}", 0)
+        rules[rule.rule] = rule
+    return list(rules.values())
+
+
+def load_rule(path: Path) -> Rule:
+    """The rule of one file.
+
+    Raises:
+        RuleError: The file is not a rule.
+        OSError: The file cannot be read.
+    """
+    path = Path(path)
+    data = path.read_bytes()
+    document = Document(str(path), "")
+    if len(data) > FILE_SIZE_MOST:
+        raise RuleError(f"a rule file has at most {FILE_SIZE_MOST} bytes, got {len(data)}", document.place(0, 0))
+    try:
+        text = data.decode("utf-8")
+    except UnicodeDecodeError as error:
+        before = data[: error.start].decode("utf-8", errors="replace")
+        document = Document(str(path), before)
+        lines = before.split("\n")
+        raise RuleError("a rule file is UTF-8; here it is not", document.place(len(lines), len(lines[-1]))) from error
+    return parse_rule(text, str(path), path)
+
+
+def parse_rule(text: str, name: str = "<rule>", path: Path | None = None) -> Rule:
+    """The rule that a YAML text says; `name` stands for the file in errors, `path` where its test data lie.
+
+    Raises:
+        RuleError: The text is not a rule.
+    """
+    document = Document(name, text)
+    node = _composed(document)
+    if not isinstance(node, MappingNode):
+        what = "an empty file" if node is None else "no mapping"
+        raise RuleError(f"a rule file is a mapping with `rule:`, `version:`, `match:` ...; got {what}",
+                        document.place(0, 0))  # fmt: skip
+    passages: dict[KeyPath, Passage] = {}
+    _note(node, (), document, passages)
+    values = _constructed(node, document)
+    try:
+        rule = Rule.model_validate(values)
+    except ValidationError as error:
+        raise _pointed(error, passages) from error
+    rule = rule.loaded_from(path, passages)
+    parse(rule.passage("match"))
+    return rule
+
+
+def _composed(document: Document) -> Node | None:
+    try:
+        return yaml.compose(document.text, Loader=yaml.SafeLoader)
+    except yaml.reader.ReaderError as error:
+        line = document.text.count("\n", 0, error.position)
+        raise RuleError(f"not YAML: {error.reason}", document.place(line, 0)) from error
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        line, column = (mark.line, mark.column) if mark else (0, 0)
+        message = f"not YAML: {error.problem or error.context}"
+        raise RuleError(message, document.place(line, column)) from error
+
+
+def _constructed(node: MappingNode, document: Document) -> Any:
+    loader = yaml.SafeLoader("")
+    try:
+        return loader.construct_document(node)
+    except (yaml.MarkedYAMLError, ValueError) as error:
+        mark = error.problem_mark if isinstance(error, yaml.MarkedYAMLError) else None
+        line, column = (mark.line, mark.column) if mark else (0, 0)
+        raise RuleError(f"not a YAML value: {error}", document.place(line, column)) from error
+
+
+def _note(node: Node, path: KeyPath, document: Document, passages: dict[KeyPath, Passage]) -> None:
+    """Notes where the node and everything in it stands.
+
+    Raises:
+        RuleError: A key stands twice in one mapping.
+    """
+    passages[path] = _passage(node, document)
+    if isinstance(node, SequenceNode):
+        for index, item in enumerate(node.value):
+            _note(item, (*path, index), document, passages)
+    if not isinstance(node, MappingNode):
+        return
+    seen = set()
+    for key, value in node.value:
+        if key.value in seen:
+            mark = key.start_mark
+            raise RuleError(f"the key {key.value!r} stands twice", document.place(mark.line, mark.column))
+        seen.add(key.value)
+        _note(value, (*path, key.value), document, passages)
+        passages[(*path, key.value, "[key]")] = _passage(key, document)
+
+
+def _passage(node: Node, document: Document) -> Passage:
+    mark = node.start_mark
+    start = (mark.line, mark.column)
+    if not isinstance(node, ScalarNode):
+        return Passage(document, "", (start,))
+    text = str(node.value)
+    if node.style == "|":
+        return Passage(document, text, _block_starts(text, document, mark.line))
+    is_as_written = document.lines[mark.line][mark.column + bool(node.style) :].startswith(text)
+    if is_as_written and "\n" not in text:
+        return Passage(document, text, ((mark.line, mark.column + bool(node.style)),))
+    return Passage(document, text + "\n", (start,))
+
+
+def _block_starts(text: str, document: Document, line: int) -> tuple[tuple[int, int], ...]:
+    """For each line of a literal block, whose header stands on this line, where it begins in the file."""
+    lines = text.split("\n")
+    indentation = 0
+    for index, content in enumerate(lines):
+        if content.strip():
+            written = document.lines[line + 1 + index]
+            indentation = len(written) - len(content)
+            break
+    return tuple((line + 1 + index, indentation) for index in range(len(lines)))
+
+
+def _pointed(error: ValidationError, passages: Mapping[KeyPath, Passage]) -> RuleError:
+    """The first complaint of pydantic, pointing at the value that it is about."""
+    first = error.errors(include_url=False)[0]
+    message = str(first["msg"]).removeprefix("Value error, ")
+    location = tuple(first["loc"])
+    shown = ".".join(str(part) for part in location if _is_ours(part)) or "rule"
+    if first["type"] == "extra_forbidden":
+        message = f"unknown key; there are: {', '.join(_known_keys(location))}"
+        location = (*location, "[key]")
+    elif first["type"] == "missing":
+        message = "this key is missing"
+    for length in range(len(location), -1, -1):
+        if location[:length] in passages:
+            return passages[location[:length]].error(f"{shown}: {message}", 0)
+    raise AssertionError("the document itself has a place")
+
+
+def _is_ours(part: str | int) -> bool:
+    """Whether a part of pydantic's location is a key of the file, not the name of a branch of a union."""
+    return isinstance(part, int) or not any(sign in part for sign in "[(")
+
+
+def _known_keys(location: KeyPath) -> list[str]:
+    """The keys that may stand where this one does."""
+    model: Any = Rule
+    for part in location[:-1]:
+        field = getattr(model, "model_fields", {}).get(part)
+        if field is not None:
+            model = next((each for each in _models(field.annotation)), None)
+    return sorted(model.model_fields) if model is not None else []
+
+
+def _models(annotation: Any) -> list[Any]:
+    """The pydantic models in an annotation such as Mapping[str, Zone]."""
+    if hasattr(annotation, "model_fields"):
+        return [annotation]
+    return [model for part in getattr(annotation, "__args__", ()) for model in _models(part)]

@@ -1,0 +1,207 @@
+"""A rule as its file defines it: pydantic at the border, frozen.
+
+Nothing here understands the SQL; `patterns.parser` does. A rule's `hash` names
+its meaning: two rules of one hash find the same situations in the same rows.
+"""
+
+import hashlib
+import json
+from collections.abc import Mapping
+from datetime import datetime, timedelta
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    PrivateAttr,
+    StrictBool,
+    StrictInt,
+    StrictStr,
+    model_validator,
+)
+
+from patterns.durations import is_duration, microseconds, parse_duration
+from patterns.errors import RuleError
+from patterns.geometry import Line, Zone
+from patterns.text import Passage
+from patterns.tokens import tokenise
+
+Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9](?:[A-Za-z0-9._-]{0,62}[A-Za-z0-9])?$")]
+ColumnName = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]{0,62}$")]
+Severity = Literal["info", "warning", "alarm"]
+ParamValue = bool | int | float | str | timedelta
+CellValue = bool | int | float | str | datetime | timedelta | None
+
+
+def _as_duration(value: Any) -> Any:
+    return parse_duration(value) if isinstance(value, str) else value
+
+
+def _as_param(value: Any) -> Any:
+    return parse_duration(value) if isinstance(value, str) and is_duration(value) else value
+
+
+Duration = Annotated[timedelta, BeforeValidator(_as_duration), Field(ge=timedelta(0), strict=True)]
+_FiniteFloat = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+_StrictDuration = Annotated[timedelta, Field(strict=True)]
+Param = Annotated[StrictBool | StrictInt | _FiniteFloat | StrictStr | _StrictDuration, BeforeValidator(_as_param)]
+
+
+class _Frozen(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class TimeSettings(_Frozen):
+    """How the rule deals with rows that come late and sources that fall silent.
+
+    Attributes:
+        lateness: How much older than its source's newest row a row may be, and still be in time.
+        idle: After how long without a row a source stops holding the watermark; None: never.
+    """
+
+    lateness: Duration = timedelta(0)
+    idle: Duration | None = None
+
+
+class EmitSettings(_Frozen):
+    """Which of the matches become situations.
+
+    Attributes:
+        once_per: Partition columns or measures; a key's further matches are held back.
+            None: the partition columns, if there is a cooldown, else nothing is held back.
+        cooldown: For how long in event time; None with `once_per`: for good.
+    """
+
+    once_per: tuple[ColumnName, ...] | None = None
+    cooldown: Duration | None = None
+
+
+class Case(_Frozen):
+    """One test in the rule's own file.
+
+    Attributes:
+        name: What it shows; the file's name or the test's number when not given.
+        given: A CSV file beside the rule, or the rows themselves.
+        expect: For each situation wanted, in order, the measures, partition columns or
+            `title` to compare; what is not named is not compared.
+        frames: Frame size (width, height) in pixels for each source, for normalised zones and lines.
+    """
+
+    name: str | None = None
+    given: str | tuple[Mapping[str, CellValue], ...]
+    expect: tuple[Mapping[str, CellValue], ...]
+    frames: Mapping[str, tuple[int, int]] = Field(default_factory=dict)
+
+
+class Rule(_Frozen):
+    """One rule: a SQL:2016 row pattern and what surrounds it."""
+
+    rule: Name
+    version: int = Field(ge=1, strict=True)
+    title: str = Field(min_length=1)
+    severity: Severity
+    zones: Mapping[Name, Zone] = Field(default_factory=dict)
+    lines: Mapping[Name, Line] = Field(default_factory=dict)
+    params: Mapping[ColumnName, Param] = Field(default_factory=dict)
+    time: TimeSettings = TimeSettings()
+    emit: EmitSettings = EmitSettings()
+    profile: Literal["full", "portable"] = "full"
+    match: str = Field(min_length=1)
+    tests: tuple[Case, ...] = ()
+
+    _path: Path | None = PrivateAttr(default=None)
+    _passages: Mapping[tuple[str | int, ...], Passage] = PrivateAttr(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _names_are_distinct(self) -> Self:
+        both = sorted(set(self.zones) & set(self.lines))
+        if both:
+            raise ValueError(f"{both[0]!r} names both a zone and a line")
+        return self
+
+    @property
+    def path(self) -> Path | None:
+        """The file that the rule was loaded from."""
+        return self._path
+
+    @property
+    def hash(self) -> str:
+        """SHA-256, in hex, of everything that changes which situations the rule finds or what they say.
+
+        Layout: UTF-8 JSON with sorted keys and no spaces, of the fields `rule`, `version`,
+        `title`, `severity`, `zones`, `lines`, `params`, `time`, `emit` and `match`; durations in
+        microseconds as `{"us": n}`, and `match` without comments and with single spaces.
+        """
+        return hashlib.sha256(self._canonical().encode()).hexdigest()
+
+    def passage(self, *path: str | int) -> Passage:
+        """Where the value under these keys stands in the file, for errors that point at it."""
+        for length in range(len(path), -1, -1):
+            found = self._passages.get(path[:length])
+            if found is not None:
+                return found
+        value: Any = self.model_dump(mode="python")
+        for key in path:
+            value = value[key]
+        return Passage.alone(value if isinstance(value, str) else json.dumps(value, default=str), f"<{self.rule}>")
+
+    def error(self, message: str, *path: str | int) -> RuleError:
+        """The error that points at the value under these keys in the rule's file."""
+        return self.passage(*path).error(message, 0)
+
+    def with_zones(self, zones: Mapping[str, Zone]) -> Self:
+        """The rule with these zones in place of its own of the same names; others stay.
+
+        Raises:
+            ValueError: The rule has no zone of one of the names.
+        """
+        return self._with("zones", self.zones, zones)
+
+    def with_lines(self, lines: Mapping[str, Line]) -> Self:
+        """The rule with these lines in place of its own of the same names; others stay.
+
+        Raises:
+            ValueError: The rule has no line of one of the names.
+        """
+        return self._with("lines", self.lines, lines)
+
+    def with_params(self, params: Mapping[str, ParamValue]) -> Self:
+        """The rule with these parameters in place of its own of the same names; others stay.
+
+        Raises:
+            ValueError: The rule has no parameter of one of the names.
+        """
+        return self._with("params", self.params, {name: _as_param(value) for name, value in params.items()})
+
+    def loaded_from(self, path: Path | None, passages: Mapping[tuple[str | int, ...], Passage]) -> Self:
+        """The rule, knowing where in which file each of its values stands."""
+        copy = self.model_copy()
+        copy._path = path
+        copy._passages = passages
+        return copy
+
+    def _with(self, field: str, old: Mapping[str, Any], new: Mapping[str, Any]) -> Self:
+        unknown = sorted(set(new) - set(old))
+        if unknown:
+            have = ", ".join(sorted(old)) or "none"
+            raise ValueError(f"rule {self.rule} has no {field[:-1]} {unknown[0]!r}; it has: {have}")
+        return self.model_copy(update={field: {**old, **new}})
+
+    def _canonical(self) -> str:
+        fields = self.model_dump(include=_MEANING)
+        fields["match"] = " ".join(token.text for token in tokenise(self.passage("match")))
+        return json.dumps(fields, sort_keys=True, separators=(",", ":"), default=_json_value)
+
+
+_MEANING = {
+    "rule", "version", "title", "severity", "zones", "lines", "params", "time", "emit", "match",
+}  # fmt: skip
+
+
+def _json_value(value: Any) -> Any:
+    if isinstance(value, timedelta):
+        return {"us": microseconds(value)}
+    raise TypeError(f"no canonical form for {type(value).__name__}")

@@ -1,0 +1,302 @@
+"""Running a rule: in batch, which is the definition, and online, which must equal it.
+
+A `RuleRun` takes rows in any order within the lateness, holds them until they
+are final, and hands them on in the total order (time, stream, sequence). A row
+is final when its time is strictly below the watermark. Matches leave in the
+order of the times that decided them, which no way of splitting the rows
+changes; each leaves once.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Any, TypeAlias
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from patterns.bound import BoundRule
+from patterns.clock import Clock
+from patterns.durations import microseconds
+from patterns.emitter import Emitter
+from patterns.engine import Engine, Key
+from patterns.errors import StateError
+from patterns.geometry import FrameSize
+from patterns.matcher import Found
+from patterns.rows import SEQUENCE, STREAM, TIME, StreamNumbers, check_envelope, in_total_order, normalised
+from patterns.saved import Saved, decode, encode, partitions_from_json, partitions_to_json
+from patterns.situations import EventRef, Match, Narrator, as_microseconds, event_ref
+
+Rows: TypeAlias = pa.Table | pa.RecordBatch
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What a step of a run led to.
+
+    Attributes:
+        matches: The matches that became final, in order.
+        late: Rows that came after the watermark had passed them; they take part in no match.
+    """
+
+    matches: tuple[Match, ...] = ()
+    late: tuple[EventRef, ...] = ()
+
+
+@dataclass(slots=True)
+class Counts:
+    """What a run has seen: rows in time, rows too late, matches emitted."""
+
+    rows: int = 0
+    late: int = 0
+    matches: int = 0
+
+
+def match(bound: BoundRule, rows: Rows) -> list[Match]:
+    """The rule's situations in these rows, which are all there are, in any order.
+
+    This is the definition: a `RuleRun` gives the same, however the rows come, as long as none is late.
+
+    Raises:
+        MatchError: The rule cannot go on with these rows.
+    """
+    run = RuleRun(bound)
+    run.hold(rows)
+    return list(run.finish().matches)
+
+
+class RuleRun:
+    """One rule, online. Not for several threads at once.
+
+    One pushed batch is one unit of arrival: its rows are judged against the watermark as it was
+    before, then move it. So what is late depends on the batches and their order alone.
+    """
+
+    def __init__(self, bound: BoundRule) -> None:
+        rule = bound.rule
+        self.bound = bound
+        self.counts = Counts()
+        self._frame_sizes: dict[str, FrameSize] = dict(bound.frame_sizes)
+        idle = rule.time.idle
+        self._clock = Clock(microseconds(rule.time.lateness), None if idle is None else microseconds(idle))
+        self._streams = StreamNumbers()
+        self._waiting: list[pa.Table] = []
+        self._waiting_min_us: int | None = None
+        self._emitter = Emitter(rule.emit)
+        self._attach()
+
+    @property
+    def input_type(self) -> str:
+        """The event type that the rule is written over."""
+        return self.bound.type
+
+    @property
+    def watermark(self) -> datetime | None:
+        """No row before this time is still expected; None: nothing is known yet."""
+        watermark_us = self._clock.watermark_us
+        return None if watermark_us is None else datetime.fromtimestamp(watermark_us / 1e6, UTC)
+
+    @property
+    def held_back(self) -> int:
+        """How many matches `once_per` and `cooldown` held back."""
+        return self._emitter.held_back
+
+    @property
+    def partitions_open(self) -> int:
+        """How many partitions anything is remembered of."""
+        return len(self._engine.open)
+
+    @property
+    def rows_waiting(self) -> int:
+        """How many rows are not final yet."""
+        return sum(table.num_rows for table in self._waiting)
+
+    def set_frame_size(self, source: str, width: int, height: int) -> None:
+        """The source's frames have this size in pixels, from the next step on."""
+        self._frame_sizes[source] = (width, height)
+
+    def push(self, rows: Rows) -> Outcome:
+        """Takes rows as they arrive, of any streams. Rows of other event types only move the watermark.
+
+        Raises:
+            MatchError: The rule cannot go on with these rows.
+        """
+        table = _as_table(rows)
+        check_envelope(table)
+        if table.num_rows == 0:
+            return Outcome()
+        late = self._take(table)
+        for source, newest in _newest_by_source(table):
+            self._clock.observe(source, newest)
+        return Outcome(self._advance(), late)
+
+    def source_ended(self, source: str) -> Outcome:
+        """The source will send no more, so it holds nothing up; when all have ended, the input has."""
+        if self._clock.end(source):
+            return self.finish()
+        return Outcome(self._advance())
+
+    def advance_idle(self, now: datetime) -> Outcome:
+        """Looks, by the clock on the wall, for sources that have been silent for the idle time."""
+        self._clock.look_for_idle(_wall_us(now))
+        return Outcome(self._advance())
+
+    def finish(self) -> Outcome:
+        """The input has ended: everything is decided. What is pushed after this begins anew."""
+        found = self._engine.take(self._released(None))
+        found += self._engine.finish()
+        matches = self._emitted(found)
+        self._clock.reset()
+        self._emitter.reset()
+        return Outcome(matches)
+
+    def hold(self, rows: Rows) -> None:
+        """Takes rows that are neither late nor released before `finish`.
+
+        Raises:
+            MatchError: The rows are not of the shape that the rule was bound to.
+        """
+        table = _as_table(rows)
+        check_envelope(table)
+        self._take(table)
+        for source, newest in _newest_by_source(table):
+            self._clock.observe(source, newest)
+
+    def state(self) -> bytes:
+        """All that the run remembers; `restore` in a new run of the same rule goes on from it."""
+        header = {
+            "rule": self.bound.rule.hash,
+            "columns": {name: kind.name for name, kind in self.bound.columns.items()},
+            "streams": self._streams.names,
+            "frame_sizes": self._frame_sizes,
+            "clock": self._clock.to_json(),
+            "emitter": self._emitter.to_json(),
+            "counts": [self.counts.rows, self.counts.late, self.counts.matches],
+            "partitions": partitions_to_json(self._engine),
+        }
+        waiting = pa.concat_tables(self._waiting) if self._waiting else None
+        return encode(Saved(header, waiting))
+
+    def restore(self, state: bytes) -> None:
+        """Goes on from what `state` gave; what this run remembered is forgotten.
+
+        Raises:
+            StateError: Not a saved state, or that of another rule, version or set of columns.
+        """
+        saved = decode(state)
+        header = saved.header
+        if header["rule"] != self.bound.rule.hash:
+            raise StateError(f"the saved state is of rule hash {header['rule']}, this rule's is {self.bound.rule.hash}")
+        if header["columns"] != {name: kind.name for name, kind in self.bound.columns.items()}:
+            raise StateError("the saved state is of the same rule over other columns")
+        self._streams = StreamNumbers.of(header["streams"])
+        self._frame_sizes = {source: (width, height) for source, (width, height) in header["frame_sizes"].items()}
+        self._clock.restore(header["clock"])
+        self._emitter.restore(header["emitter"])
+        self.counts = Counts(*header["counts"])
+        self._waiting = [] if saved.waiting is None else [saved.waiting]
+        self._waiting_min_us = None if saved.waiting is None else pc.min(saved.waiting.column(TIME)).as_py()
+        self._attach()
+        for key, remembered in partitions_from_json(header["partitions"]):
+            self._engine.put(key, remembered)
+
+    # From arrival to release.
+
+    def _attach(self) -> None:
+        self._engine = Engine(self.bound, self._frame_sizes)
+        self._narrator = Narrator(self.bound, self._engine.places, self._streams.names)
+
+    def _take(self, table: pa.Table) -> tuple[EventRef, ...]:
+        """Holds the rows that are in time; the others."""
+        rows = table.filter(pc.equal(table.column("type"), self.bound.type))
+        if rows.num_rows == 0:
+            return ()
+        rows = normalised(rows, self.bound.columns, self._streams)
+        late: tuple[EventRef, ...] = ()
+        if self._clock.watermark_us is not None:
+            is_late = np.asarray(rows.column(TIME)) < self._clock.watermark_us
+            if is_late.any():
+                late = tuple(self._refs(rows.filter(pa.array(is_late))))
+                rows = rows.filter(pa.array(~is_late))
+        self.counts.late += len(late)
+        self.counts.rows += rows.num_rows
+        if rows.num_rows:
+            self._wait(rows)
+        return late
+
+    def _wait(self, rows: pa.Table) -> None:
+        self._waiting.append(rows)
+        oldest = pc.min(rows.column(TIME)).as_py()
+        self._waiting_min_us = oldest if self._waiting_min_us is None else min(self._waiting_min_us, oldest)
+
+    def _advance(self) -> tuple[Match, ...]:
+        """The matches that the watermark, where it stands now, makes final."""
+        watermark_us = self._clock.advance()
+        if watermark_us is None:
+            return ()
+        found = self._engine.take(self._released(watermark_us))
+        found += self._engine.expire(watermark_us)
+        matches = self._emitted(found)
+        self._emitter.forget(watermark_us)
+        return matches
+
+    def _released(self, before_us: int | None) -> pa.Table:
+        """The rows that are final, in the total order; they wait no longer."""
+        nothing = self._waiting_min_us is None or (before_us is not None and self._waiting_min_us >= before_us)
+        if nothing:
+            return pa.table({TIME: pa.array([], pa.int64())})
+        waiting = pa.concat_tables(self._waiting).combine_chunks()
+        self._waiting, self._waiting_min_us = [], None
+        if before_us is not None:
+            is_final = np.asarray(waiting.column(TIME)) < before_us
+            if not is_final.all():
+                self._wait(waiting.filter(pa.array(~is_final)))
+                waiting = waiting.filter(pa.array(is_final))
+        return in_total_order(waiting, self._streams)
+
+    def _emitted(self, found: list[tuple[Key, Found]]) -> tuple[Match, ...]:
+        """The matches that become situations, in the order in which they were decided."""
+        newest_us = self._clock.newest_us()
+        matches = []
+        for key, each in sorted(found, key=lambda pair: self._order(pair[1])):
+            made = self._narrator.match(key, each)
+            now_us = newest_us if each.decided_us is None else each.decided_us
+            if self._emitter.lets_through(made, now_us):
+                matches.append(made)
+        self.counts.matches += len(matches)
+        return tuple(matches)
+
+    def _order(self, found: Found) -> tuple[Any, ...]:
+        """By deciding time, time itself before rows of that time, then by the deciding and the first event."""
+        names = self._streams.names
+        stream, sequence, time_us = found.first
+        first = (time_us, names[stream], sequence)
+        if found.decided_us is None:
+            return (1, 0, 0, "", 0, *first)
+        if found.decided_by is None:
+            return (0, found.decided_us, 0, "", 0, *first)
+        return (0, found.decided_us, 1, names[found.decided_by[0]], found.decided_by[1], *first)
+
+    def _refs(self, rows: pa.Table) -> Iterable[EventRef]:
+        columns = [rows.column(name).to_pylist() for name in (STREAM, SEQUENCE, TIME)]
+        return (event_ref(each, self._streams.names) for each in zip(*columns, strict=True))
+
+
+def _as_table(rows: Rows) -> pa.Table:
+    return pa.Table.from_batches([rows]) if isinstance(rows, pa.RecordBatch) else rows
+
+
+def _newest_by_source(table: pa.Table) -> list[tuple[str, int]]:
+    """For each source its newest time in microseconds."""
+    times = table.column("time").cast(pa.timestamp("us", table.column("time").type.tz)).cast(pa.int64())
+    grouped = (
+        pa.table({"source": table.column("source"), "time": times}).group_by("source").aggregate([("time", "max")])
+    )
+    return list(zip(grouped.column("source").to_pylist(), grouped.column("time_max").to_pylist(), strict=True))
+
+
+def _wall_us(now: datetime) -> int:
+    value = as_microseconds(now)
+    assert isinstance(value, int)
+    return value

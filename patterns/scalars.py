@@ -1,0 +1,453 @@
+"""From sqlglot's scalar trees to ours: names resolved, types checked, the rest refused.
+
+What a column name means depends on where it stands (`Scope`): in DEFINE the row
+at hand, or the last row mapped to another variable; in MEASURES the last row of
+the variable, or of the match.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from datetime import timedelta
+from fractions import Fraction
+from typing import Any, NoReturn
+
+from sqlglot import exp
+
+from patterns.durations import microseconds
+from patterns.errors import NotSupportedYet, RuleError
+from patterns.expressions import (
+    Column,
+    Const,
+    Count,
+    Crosses,
+    Expr,
+    InZone,
+    Kind,
+    Reference,
+    Shift,
+    Which,
+    is_constant,
+    operands,
+    rebuilt,
+    walk,
+)
+from patterns.geometry import DIRECTIONS, Line, Zone
+from patterns.syntax import Scalar
+from patterns.text import Passage
+from patterns.tokens import canonical_name
+from patterns.typing_rules import TypeMismatch, as_float, typed_call
+
+PREV_MOST = 1_000
+
+_UNITS_US = {
+    "MICROSECOND": 1, "MILLISECOND": 1_000, "SECOND": 1_000_000, "MINUTE": 60_000_000,
+    "HOUR": 3_600_000_000, "DAY": 86_400_000_000,
+}  # fmt: skip
+_BINARY: dict[type[exp.Expression], str] = {
+    exp.Add: "+", exp.Sub: "-", exp.Mul: "*", exp.Div: "/", exp.Mod: "%", exp.EQ: "=", exp.NEQ: "<>",
+    exp.LT: "<", exp.LTE: "<=", exp.GT: ">", exp.GTE: ">=", exp.And: "and", exp.Or: "or",
+}  # fmt: skip
+_FUNCTIONS: dict[type[exp.Expression], str] = {
+    exp.Abs: "abs", exp.Sqrt: "sqrt", exp.Least: "least", exp.Greatest: "greatest",
+    exp.Coalesce: "coalesce", exp.Neg: "neg", exp.Not: "not",
+}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Scope:
+    """What names mean where an expression stands.
+
+    Attributes:
+        passage: The SQL, for errors.
+        clause: The clause, for errors.
+        columns: The event type's columns that the language can read.
+        unreadable: Its other columns, and the Arrow type that keeps them from being read.
+        variables: Pattern variables: compared name to shown name.
+        own: The variable that DEFINE is defining.
+        has_row: Whether there is a row at hand (DEFINE, WHERE) or a finished match (MEASURES).
+        params: The rule's parameters.
+        zones: The rule's zones.
+        lines: The rule's lines.
+    """
+
+    passage: Passage
+    clause: str
+    columns: Mapping[str, Kind]
+    unreadable: Mapping[str, str]
+    variables: Mapping[str, str]
+    own: str | None
+    has_row: bool
+    params: Mapping[str, Any]
+    zones: Mapping[str, Zone]
+    lines: Mapping[str, Line]
+
+
+def translate(scalar: Scalar, scope: Scope) -> Expr:
+    """The expression with its names resolved in this scope.
+
+    Raises:
+        RuleError: A name that is not there, or operands of wrong types.
+        NotSupportedYet: SQL outside the subset.
+    """
+    return _Translator(scope, scalar.at).expr(scalar.node)
+
+
+class _Translator:
+    """One method for each kind of node; `at` is where to point when a node knows no place."""
+
+    def __init__(self, scope: Scope, at: int) -> None:
+        self.scope = scope
+        self.at = at
+
+    def expr(self, node: exp.Expression) -> Expr:
+        handler = _HANDLERS.get(type(node))
+        if handler is not None:
+            return handler(self, node)
+        if type(node) in _BINARY:
+            return self.call(_BINARY[type(node)], node, (node.this, node.expression))
+        if type(node) in _FUNCTIONS:
+            return self.call(_FUNCTIONS[type(node)], node, (node.this, *node.expressions))
+        raise self.refusal(_named(node), node)
+
+    def call(self, op: str, node: exp.Expression, parts: tuple[exp.Expression, ...]) -> Expr:
+        return self.typed(op, node, tuple(self.expr(part) for part in parts))
+
+    def typed(self, op: str, node: exp.Expression, operands: tuple[Expr, ...]) -> Expr:
+        try:
+            return typed_call(op, operands)
+        except TypeMismatch as error:
+            self.fail(str(error), node)
+
+    # Names.
+
+    def column(self, node: exp.Expression) -> Expr:
+        if isinstance(node.this, exp.Star):
+            self.fail("v.* stands in COUNT only", node)
+        if node.args.get("db") or node.args.get("catalog"):
+            self.refuse("a column name of more than two parts", node)
+        variable = self.variable(node)
+        column = self.bare_column(node.this)
+        if variable is None:
+            return column if self.scope.has_row else Reference(None, "last", column)
+        if variable == self.scope.own:
+            return column
+        return Reference(variable, "last", column)
+
+    def bare_column(self, identifier: exp.Expression) -> Column:
+        name = identifier.name if identifier.args.get("quoted") else identifier.name.lower()
+        kind = self.scope.columns.get(name)
+        if kind is not None:
+            return Column(name, kind)
+        if name in self.scope.unreadable:
+            self.fail(f"column {name} has the Arrow type {self.scope.unreadable[name]}, which rules cannot read",
+                      identifier)  # fmt: skip
+        have = ", ".join(sorted(self.scope.columns))
+        raise self.error(f"unknown column {identifier.name!r}; there are: {have}", identifier)
+
+    def variable(self, node: exp.Expression) -> str | None:
+        """The shown name of the variable before the dot."""
+        table = node.args.get("table")
+        if table is None:
+            return None
+        key = canonical_name(table.name, bool(table.args.get("quoted")))
+        if key not in self.scope.variables:
+            have = ", ".join(self.scope.variables.values()) or "none here"
+            self.fail(f"unknown pattern variable {table.name!r}; there are: {have}", table)
+        return self.scope.variables[key]
+
+    def placeholder(self, node: exp.Expression) -> Expr:
+        name = str(node.this or "")
+        if name not in self.scope.params:
+            have = ", ".join(sorted(self.scope.params)) or "none"
+            message = f"{self.scope.clause}: unknown parameter :{name}; params has: {have}"
+            raise self.scope.passage.error(message, self.param_offset(name))
+        return constant(self.scope.params[name])
+
+    def param_offset(self, name: str) -> int:
+        found = self.scope.passage.text.find(f":{name}", self.at)
+        return found if found >= 0 else self.at
+
+    # Navigation and counting.
+
+    def prev(self, node: exp.Expression) -> Expr:
+        rows = 1
+        if self.scope.clause == "WHERE":
+            self.fail("PREV has no meaning in WHERE", node)
+        if len(node.expressions) not in (1, 2):
+            self.fail("PREV takes a column and, if wanted, a number of rows", node)
+        if len(node.expressions) == 2:
+            rows = self.whole_number(node.expressions[1])
+        inner = self.framed(node, self.expr(node.expressions[0]))
+        if isinstance(inner, Reference):
+            return replace(inner, operand=Shift(inner.operand, rows))
+        return Shift(inner, rows)
+
+    def whole_number(self, node: exp.Expression) -> int:
+        value = self.expr(node)
+        if not isinstance(value, Const) or value.kind is not Kind.INT or not 0 <= int(value.value or 0) <= PREV_MOST:
+            self.fail(f"PREV goes back by a whole number of 0 to {PREV_MOST} rows", node)
+        return int(value.value or 0)
+
+    def framed(self, node: exp.Expression, expr: Expr) -> Expr:
+        """The expression as one over a single row: row-local, or one reference around it all."""
+        frames = {(part.variable, part.which) for part in walk(expr) if isinstance(part, Reference)}
+        if any(isinstance(part, Count) for part in walk(expr)):
+            self.refuse(f"COUNT inside {_named(node)}", node)
+        if is_constant(expr):
+            self.fail(f"{_named(node)} needs a column", node)
+        if not frames:
+            return expr
+        if len(frames) > 1 or _has_free_column(expr):
+            self.fail(f"{_named(node)} must read columns of one variable", node)
+        variable, which = frames.pop()
+        return Reference(variable, which, _without_references(expr))
+
+    def first(self, node: exp.Expression) -> Expr:
+        return self.navigation(node, "first")
+
+    def last(self, node: exp.Expression) -> Expr:
+        return self.navigation(node, "last")
+
+    def navigation(self, node: exp.Expression, which: Which) -> Expr:
+        name = which.upper()
+        if node.args.get("expression") or node.args.get("expressions"):
+            self.refuse(f"{name} with an offset", node)
+        if self.scope.clause == "WHERE":
+            self.fail(f"{name} has no meaning in WHERE", node)
+        for part in node.this.walk():
+            if isinstance(part, exp.First | exp.Last | exp.Count) or _is_prev(part):
+                self.refuse(f"{_named(part)} inside {name}", part)
+        operand = self.framed(node, self.expr(node.this))
+        if isinstance(operand, Reference):
+            return replace(operand, which=which)
+        qualified = {self.variable(column) for column in node.this.find_all(exp.Column)}
+        if len(qualified) > 1:
+            self.fail(f"{name} must read columns of one variable", node)
+        return operand if which == "last" else Reference(qualified.pop(), "first", operand)
+
+    def count(self, node: exp.Expression) -> Expr:
+        counted = node.this
+        if self.scope.clause == "WHERE":
+            self.fail("COUNT has no meaning in WHERE", node)
+        if isinstance(counted, exp.Star) and not node.expressions:
+            return Count(None, None)
+        if not isinstance(counted, exp.Column) or node.expressions:
+            self.refuse("COUNT of anything but *, v.* or v.column", node)
+        if isinstance(counted.this, exp.Star):
+            return Count(self.variable(counted), None)
+        return Count(self.variable(counted), self.bare_column(counted.this))
+
+    # Literals.
+
+    def literal(self, node: exp.Expression) -> Expr:
+        text = str(node.this)
+        if node.args.get("is_string"):
+            return Const(text, Kind.STRING)
+        if text.isdigit():
+            if int(text) >= 2**63:
+                self.fail(f"an integer is below 2^63, got {text}", node)
+            return Const(int(text), Kind.INT)
+        try:
+            return Const(float(text), Kind.FLOAT)
+        except ValueError:
+            self.fail(f"not a number: {text}", node)
+
+    def boolean(self, node: exp.Expression) -> Expr:
+        return Const(bool(node.this), Kind.BOOL)
+
+    def null(self, node: exp.Expression) -> Expr:
+        return Const(None, Kind.NULL)
+
+    def interval(self, node: exp.Expression) -> Expr:
+        unit = node.args.get("unit")
+        if not isinstance(unit, exp.Var) or not isinstance(node.this, exp.Literal):
+            self.refuse("an INTERVAL other than of one number and one unit", node)
+        name = unit.name.upper().removesuffix("S")
+        if name in ("MONTH", "YEAR", "QUARTER", "WEEK"):
+            self.refuse(f"INTERVAL in {name}", node)
+        if name not in _UNITS_US:
+            self.fail(f"unknown unit {unit.name}; there are: {', '.join(_UNITS_US)}", node)
+        try:
+            length = Fraction(str(node.this.this)) * _UNITS_US[name]
+        except (ValueError, ZeroDivisionError):
+            self.fail(f"an interval is a number, got {node.this.this!r}", node)
+        if length.denominator != 1 or abs(length) >= 2**63:
+            self.fail("an interval is a whole number of microseconds, of at most 64 bits", node)
+        return Const(int(length), Kind.DURATION)
+
+    # Forms that are other forms in disguise.
+
+    def paren(self, node: exp.Expression) -> Expr:
+        return self.expr(node.this)
+
+    def between(self, node: exp.Expression) -> Expr:
+        if node.args.get("symmetric"):
+            self.refuse("BETWEEN SYMMETRIC", node)
+        value, low, high = (self.expr(part) for part in (node.this, node.args["low"], node.args["high"]))
+        bounds = self.typed(">=", node, (value, low)), self.typed("<=", node, (value, high))
+        return self.typed("and", node, bounds)
+
+    def member(self, node: exp.Expression) -> Expr:
+        if node.args.get("query") or node.args.get("unnest") or node.args.get("field"):
+            self.refuse("IN with a sub-query", node)
+        value = self.expr(node.this)
+        equals = [self.typed("=", node, (value, self.expr(item))) for item in node.expressions]
+        result = equals[0]
+        for equal in equals[1:]:
+            result = self.typed("or", node, (result, equal))
+        return result
+
+    def is_null(self, node: exp.Expression) -> Expr:
+        if not isinstance(node.expression, exp.Null):
+            self.refuse("IS with anything but NULL", node)
+        return self.call("is_null", node, (node.this,))
+
+    def case(self, node: exp.Expression) -> Expr:
+        subject = node.this
+        parts: list[Expr] = []
+        for branch in node.args["ifs"]:
+            condition = self.expr(branch.this)
+            if subject is not None:
+                condition = self.typed("=", node, (self.expr(subject), condition))
+            parts += [condition, self.expr(branch.args["true"])]
+        default = node.args.get("default")
+        parts.append(self.expr(default) if default is not None else Const(None, Kind.NULL))
+        return self.typed("case", node, tuple(parts))
+
+    # Zones, lines, and names that sqlglot does not know.
+
+    def anonymous(self, node: exp.Expression) -> Expr:
+        name = str(node.this).upper()
+        if name == "PREV":
+            return self.prev(node)
+        if name == "IN_ZONE":
+            return self.in_zone(node)
+        if name == "CROSSES":
+            return self.crosses(node)
+        if name in _NOT_YET:
+            self.refuse(name, node)
+        raise self.error(f"unknown function {node.this}; there are: {_FUNCTIONS_SHOWN}", node)
+
+    def in_zone(self, node: exp.Expression) -> Expr:
+        x, y, zone = self.arguments(node, "in_zone(x, y, 'zone')", 2, 1)
+        name = self.name_in(zone, "zone", self.scope.zones)
+        return InZone(name, self.with_source((self.number(x), self.number(y))))
+
+    def crosses(self, node: exp.Expression) -> Expr:
+        arguments = self.arguments(node, "crosses(x0, y0, x1, y1, 'line', 'direction')", 4, 2)
+        line = self.name_in(arguments[4], "line", self.scope.lines)
+        direction = arguments[5].this
+        if direction not in DIRECTIONS:
+            self.fail(f"unknown direction {direction!r}; there are: {', '.join(DIRECTIONS)}", arguments[5])
+        return Crosses(line, direction, self.with_source(tuple(self.number(part) for part in arguments[:4])))
+
+    def with_source(self, coordinates: tuple[Expr, ...]) -> tuple[Expr, ...]:
+        """The coordinates after the source of their row, or of the row at hand where they are of several."""
+        source = Column("source", Kind.STRING)
+        parts = [part for coordinate in coordinates for part in walk(coordinate)]
+        frames = {(part.variable, part.which) for part in parts if isinstance(part, Reference)}
+        if len(frames) == 1 and not any(_has_free_column(coordinate) for coordinate in coordinates):
+            return (Reference(*frames.pop(), source), *coordinates)
+        return (source if self.scope.has_row else Reference(None, "last", source), *coordinates)
+
+    def arguments(self, node: exp.Expression, form: str, numbers: int, names: int) -> list[exp.Expression]:
+        arguments: list[exp.Expression] = node.expressions
+        if len(arguments) != numbers + names:
+            self.fail(f"wanted {form}, got {len(arguments)} arguments", node)
+        for argument in arguments[numbers:]:
+            if not isinstance(argument, exp.Literal) or not argument.is_string:
+                self.fail(f"wanted {form}, with names in single quotes", argument)
+        return arguments
+
+    def name_in(self, node: exp.Expression, what: str, names: Mapping[str, object]) -> str:
+        name = str(node.this)
+        if name not in names:
+            have = ", ".join(sorted(names)) or "none"
+            self.fail(f"unknown {what} {name!r}; {what}s has: {have}", node)
+        return name
+
+    def number(self, node: exp.Expression) -> Expr:
+        value = self.expr(node)
+        if value.kind not in (Kind.INT, Kind.FLOAT, Kind.NULL):
+            self.fail(f"a coordinate is a number, got {value.kind.value}", node)
+        return as_float(value)
+
+    # Errors.
+
+    def refuse(self, what: str, node: exp.Expression) -> NoReturn:
+        raise self.refusal(what, node)
+
+    def refusal(self, what: str, node: exp.Expression) -> RuleError:
+        message = f"{self.scope.clause}: {what} is not supported yet"
+        return self.scope.passage.error(message, self.offset(node), NotSupportedYet)
+
+    def fail(self, message: str, node: exp.Expression) -> NoReturn:
+        raise self.error(message, node)
+
+    def error(self, message: str, node: exp.Expression) -> RuleError:
+        return self.scope.passage.error(f"{self.scope.clause}: {message}", self.offset(node))
+
+    def offset(self, node: exp.Expression) -> int:
+        """Where the node, or the first part of it that knows its place, stands."""
+        places = [part.meta["start"] for part in node.walk() if "start" in part.meta]
+        return min(places, default=self.at)
+
+
+def constant(value: Any) -> Const:
+    """A parameter's value as a constant."""
+    if isinstance(value, timedelta):
+        return Const(microseconds(value), Kind.DURATION)
+    kinds = {bool: Kind.BOOL, int: Kind.INT, float: Kind.FLOAT, str: Kind.STRING}
+    return Const(value, kinds[type(value)])
+
+
+def _has_free_column(expr: Expr) -> bool:
+    if isinstance(expr, Reference):
+        return False
+    if isinstance(expr, Column):
+        return True
+    return any(_has_free_column(operand) for operand in operands(expr))
+
+
+def _without_references(expr: Expr) -> Expr:
+    if isinstance(expr, Reference):
+        return expr.operand
+    return rebuilt(expr, _without_references)
+
+
+def _is_prev(node: exp.Expression) -> bool:
+    return isinstance(node, exp.Anonymous) and str(node.this).upper() in ("PREV", "NEXT")
+
+
+def _named(node: exp.Expression) -> str:
+    """What to call the node in an error."""
+    if isinstance(node, exp.Anonymous):
+        return str(node.this).upper()
+    if isinstance(node, exp.Func):
+        return node.sql_name()
+    if isinstance(node, exp.Query | exp.Subquery):
+        return "a sub-query"
+    return f"{type(node).__name__} ({node.sql()[:40]})"
+
+
+_NOT_YET = frozenset(
+    ("NEXT", "CLASSIFIER", "MATCH_NUMBER", "TIMER", "RUNNING", "FINAL", "PERMUTE", "CURRENT_TIMESTAMP", "NOW")
+)
+_FUNCTIONS_SHOWN = "PREV, FIRST, LAST, COUNT, ABS, SQRT, LEAST, GREATEST, COALESCE, in_zone, crosses"
+_HANDLERS: dict[type[exp.Expression], Callable[[_Translator, Any], Expr]] = {
+    exp.Column: _Translator.column,
+    exp.Placeholder: _Translator.placeholder,
+    exp.Literal: _Translator.literal,
+    exp.Boolean: _Translator.boolean,
+    exp.Null: _Translator.null,
+    exp.Interval: _Translator.interval,
+    exp.Paren: _Translator.paren,
+    exp.Between: _Translator.between,
+    exp.In: _Translator.member,
+    exp.Is: _Translator.is_null,
+    exp.Case: _Translator.case,
+    exp.First: _Translator.first,
+    exp.Last: _Translator.last,
+    exp.Count: _Translator.count,
+    exp.Anonymous: _Translator.anonymous,
+}

@@ -1,0 +1,187 @@
+"""What a match says: its measures, its title, where each of its rows came from, and its identity."""
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from typing import Any
+
+from patterns.bound import BoundRule, Output
+from patterns.columns import Places
+from patterns.durations import MICROSECOND
+from patterns.expressions import Kind
+from patterns.guards import Guard, compile_guard
+from patterns.matcher import Event, Found, runs
+
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+
+Scalar = bool | int | float | str | datetime | timedelta | None
+
+
+@dataclass(frozen=True, slots=True)
+class EventRef:
+    """One event: its stream (`station/source/type`), its sequence there, and when it happened."""
+
+    stream: str
+    sequence: int
+    time: datetime
+
+
+@dataclass(frozen=True, slots=True)
+class EventRange:
+    """Rows that follow each other in the match's partition and are of one stream.
+
+    They are the events of the partition between the two sequences; `rows` says how many.
+    """
+
+    stream: str
+    first_sequence: int
+    last_sequence: int
+    rows: int
+
+
+@dataclass(frozen=True, slots=True)
+class Match:
+    """One final match of a rule.
+
+    Attributes:
+        rule: The rule's name.
+        version: The rule's version.
+        rule_hash: The rule's hash.
+        severity: The rule's severity.
+        title: The rule's title, filled in.
+        partition: The partition columns and their values.
+        measures: The measures in their order.
+        first: The event of its first row.
+        last: The event of its last row.
+        decided_at: The event time from which it was final: of the row that decided it, or of the
+            end of its WITHIN; None: only the end of the input decided it.
+        lineage: For each pattern variable that took rows, which.
+        situation_id: Its identity, see `situation_id`.
+    """
+
+    rule: str
+    version: int
+    rule_hash: str
+    severity: str
+    title: str
+    partition: dict[str, Scalar]
+    measures: dict[str, Scalar]
+    first: EventRef
+    last: EventRef
+    decided_at: datetime | None
+    lineage: dict[str, tuple[EventRange, ...]]
+    situation_id: str
+
+
+def situation_id(rule: str, version: int, partition: Sequence[Any], first: EventRef, last: EventRef) -> str:
+    """The identity of a situation: equal for the same match of the same rule version, wherever it is found.
+
+    SHA-256, in hex, of the UTF-8 JSON array, without spaces,
+    `["situation/1", rule, version, [partition values], [stream, sequence, time], [stream, sequence, time]]`
+    with the first and the last event; times and durations are whole microseconds, since 1970 UTC.
+    """
+    events = [[event.stream, event.sequence, as_microseconds(event.time)] for event in (first, last)]
+    content = ["situation/1", rule, version, [as_microseconds(value) for value in partition], *events]
+    text = json.dumps(content, separators=(",", ":"), ensure_ascii=False)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+class Narrator:
+    """Makes matches of what the matcher found."""
+
+    def __init__(self, bound: BoundRule, places: Places, stream_names: Sequence[str]) -> None:
+        self.bound = bound
+        self.stream_names = stream_names
+        self.rule_hash = bound.rule.hash
+        slots = {slot: index for index, slot in enumerate(bound.slots)}
+        registers = dict(bound.register_of)
+        self.values: list[tuple[Output, Guard]] = [
+            (output, compile_guard(output.value, slots, registers, places))
+            for output in (*bound.measures, *bound.title_columns)
+        ]
+
+    def match(self, key: Sequence[Any], found: Found) -> Match:
+        """The match as it leaves the engine."""
+        bound = self.bound
+        kinds = [bound.columns[name] for name in bound.keys]
+        partition = {
+            name: as_python(value, kind) for name, value, kind in zip(bound.keys, key, kinds, strict=True)
+        }  # fmt: skip
+        values = {
+            output.name: as_python(value((), found.ending.registers), output.value.kind)
+            for output, value in self.values
+        }
+        measures = {measure.name: values[measure.name] for measure in bound.measures}
+        first, last = (event_ref(event, self.stream_names) for event in (found.first, found.ending.event))
+        return Match(
+            rule=bound.rule.rule,
+            version=bound.rule.version,
+            rule_hash=self.rule_hash,
+            severity=bound.rule.severity,
+            title=filled_title(bound.rule.title, {**values, **partition, **measures}),
+            partition=partition,
+            measures=measures,
+            first=first,
+            last=last,
+            decided_at=None if found.decided_us is None else _time(found.decided_us),
+            lineage=self._lineage(found),
+            situation_id=situation_id(bound.rule.rule, bound.rule.version, key, first, last),
+        )
+
+    def _lineage(self, found: Found) -> dict[str, tuple[EventRange, ...]]:
+        ranges: dict[str, list[EventRange]] = {}
+        for _, variable, stream, first, last, _, rows in runs(found.ending.trace):
+            each = EventRange(self.stream_names[stream], first, last, rows)
+            ranges.setdefault(self.bound.variables[variable], []).append(each)
+        return {variable: tuple(each) for variable, each in ranges.items()}
+
+
+def event_ref(event: Event, stream_names: Sequence[str]) -> EventRef:
+    """The event with its stream's name and its time."""
+    stream, sequence, time_us = event
+    return EventRef(stream_names[stream], sequence, _time(time_us))
+
+
+def filled_title(title: str, values: dict[str, Scalar]) -> str:
+    """The title with each `{name}` or `{name:format}` in its place; NULL is shown as `?`."""
+    return title.format_map({name: _Shown(value) for name, value in values.items()})
+
+
+class _Shown:
+    """A value as a title shows it."""
+
+    def __init__(self, value: Scalar) -> None:
+        self.value = value
+
+    def __format__(self, spec: str) -> str:
+        value = self.value
+        if value is None:
+            return "?"
+        if spec:
+            return format(value, spec)
+        if isinstance(value, datetime):
+            return value.isoformat().replace("+00:00", "Z")
+        return f"{value.total_seconds():g} s" if isinstance(value, timedelta) else str(value)
+
+
+def as_python(value: Any, kind: Kind) -> Scalar:
+    """A value of the engine as Python has it: times and durations are no longer microseconds."""
+    if value is None:
+        return None
+    if kind is Kind.TIME:
+        return _time(value)
+    plain: Scalar = timedelta(microseconds=value) if kind is Kind.DURATION else value
+    return plain
+
+
+def _time(microseconds: int) -> datetime:
+    return _EPOCH + timedelta(microseconds=microseconds)
+
+
+def as_microseconds(value: Scalar) -> bool | int | float | str | None:
+    """The value with times and durations as whole microseconds again: what identities are made of."""
+    if isinstance(value, datetime):
+        return (value - _EPOCH) // MICROSECOND
+    return value // MICROSECOND if isinstance(value, timedelta) else value
