@@ -8,7 +8,10 @@ from events.model import EventType, JsonText, Part, UtcTime
 
 
 class MatchedRange(Part):
-    """Events of one stream, without a gap, that one pattern variable matched."""
+    """Events of one stream that one pattern variable matched, one after the other in the match's partition.
+
+    Between the two sequences lie events of other partitions too; `events` says how many are the match's.
+    """
 
     variable: str
     """pattern variable"""
@@ -18,6 +21,8 @@ class MatchedRange(Part):
     """first sequence, inclusive"""
     last_sequence: int
     """last sequence, inclusive"""
+    events: int
+    """number of events in the range that are of the match's partition"""
 
 
 class SituationDetected(EventType, type="situation_detected", version=1, subject="rule"):

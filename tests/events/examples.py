@@ -27,7 +27,8 @@ def sync_planned(**changed: Any) -> SyncPlanned:
 
 def situation(*variables: str, **changed: Any) -> SituationDetected:
     lineage = tuple(
-        MatchedRange(variable=name, stream="s/cam/track_point", first_sequence=1, last_sequence=2) for name in variables
+        MatchedRange(variable=name, stream="s/cam/track_point", first_sequence=1, last_sequence=2, events=2)
+        for name in variables
     )
     plain = {
         "time": NOON,

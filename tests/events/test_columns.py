@@ -180,7 +180,7 @@ def test_nulls_are_refused_with_their_number() -> None:
 
 def test_nulls_inside_a_part_are_refused_by_path() -> None:
     data = batch_of([situation("a")]).data
-    lineage = [[{"variable": None, "stream": "s", "first_sequence": 1, "last_sequence": 2}]]
+    lineage = [[{"variable": None, "stream": "s", "first_sequence": 1, "last_sequence": 2, "events": 2}]]
     column = pa.array(lineage, data.schema.field("lineage").type)
     with pytest.raises(InvalidEvent, match=r"situation_detected.lineage.variable must not be null, got 1"):
         EventBatch(situation().__class__, data.set_column(11, data.schema.field("lineage"), column))
