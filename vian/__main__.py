@@ -1,0 +1,5 @@
+"""`python -m vian` is the command `vian`."""
+
+from vian.cli import main
+
+main()

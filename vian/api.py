@@ -1,0 +1,79 @@
+"""The HTTP application: health, and in the central role the sync end points.
+
+Contract: `create_app` builds it from what it is given; it holds no state of its own.
+"""
+
+import socket
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import uvicorn
+from fastapi import FastAPI
+
+from store import Log
+from sync.central import router
+from sync.grants import Grants
+from vian.errors import WorldFailed
+from vian.version import VERSION
+
+_START_SECONDS_MAX = 15.0
+
+
+def create_app(log: Log, grants: Grants | None) -> FastAPI:
+    """The application over a log; with grants it takes stations' segments."""
+    app = FastAPI(title="ViAn", version=VERSION)
+
+    @app.get("/health")
+    def health() -> dict[str, object]:
+        """Whether the log answers, and where it stands."""
+        return {"status": "ok", "version": VERSION, "position": log.head()}
+
+    if grants is not None:
+        app.include_router(router(log, grants))
+    return app
+
+
+def bind(host: str, port: int) -> socket.socket:
+    """A listening socket.
+
+    Raises:
+        WorldFailed: The port is taken, or the address is not one of this machine's.
+    """
+    listening = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET, socket.SOCK_STREAM)
+    listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        listening.bind((host, port))
+    except OSError as error:
+        listening.close()
+        raise WorldFailed(
+            f"cannot listen on {host} port {port}: {error.strerror}. "
+            "Next: stop what uses it, or give another with --port (0 takes a free one)"
+        ) from error
+    listening.listen(128)
+    return listening
+
+
+@contextmanager
+def serving(app: FastAPI, listening: socket.socket) -> Iterator[str]:
+    """The application served from a thread while the block runs; its address."""
+    server = uvicorn.Server(uvicorn.Config(app, log_config=None, lifespan="off"))
+    thread = threading.Thread(target=server.run, kwargs={"sockets": [listening]}, name="vian-http", daemon=True)
+    thread.start()
+    try:
+        _wait_until_started(server, thread)
+        host, port = listening.getsockname()[:2]
+        yield f"http://{f'[{host}]' if ':' in host else host}:{port}"
+    finally:
+        server.should_exit = True
+        thread.join(_START_SECONDS_MAX)
+        listening.close()
+
+
+def _wait_until_started(server: uvicorn.Server, thread: threading.Thread) -> None:
+    waited = 0.0
+    while not server.started:
+        thread.join(0.02)
+        waited += 0.02
+        if not thread.is_alive() or waited > _START_SECONDS_MAX:
+            raise WorldFailed("the HTTP server did not start; the log above says why")

@@ -1,0 +1,1 @@
+"""The commands, one module a group. Each opens with what it does and ends with an example."""

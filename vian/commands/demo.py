@@ -1,0 +1,73 @@
+"""`vian demo`: one event's whole life on real video."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from vian import options
+from vian.demo.clip import choose
+from vian.demo.run import ANSWER_SQL, CENTRAL_DIR, Summary, run_demo, summary_rows
+from vian.errors import WorldFailed
+from vian.options import open_from, settings_for
+from vian.output import Output
+
+REPORT = Path("vian-demo-report.html")
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command(epilog="Example: vian demo --video gate.mp4 --data-dir ~/vian-demo")(demo)
+
+
+def demo(
+    video: Annotated[
+        Path | None,
+        typer.Option("--video", help="Video file.", show_default="a sample clip: VIAN_DATA, download, or rendered"),
+    ] = None,
+    report: Annotated[Path, typer.Option("--report", help="File of the HTML report.")] = REPORT,
+    data_dir: options.DataDir = None,
+    dsn: options.Dsn = None,
+    as_json: options.Json = False,
+) -> None:
+    """Turn a video into events, situations, an answer in SQL, a second log, and a report."""
+    settings = settings_for(data_dir, dsn)
+    output = Output(is_json=as_json)
+    _check_writable(report)
+    clip = choose(video, settings.data, output.note)
+    output.note(f"clip: {clip.path}" + (f"\n{clip.attribution}" if clip.attribution else ""))
+    summary = run_demo(
+        lambda: open_from(settings, data_dir=data_dir), settings.data_dir / CENTRAL_DIR, clip, report, output
+    )
+    _print(summary, output)
+    if not summary.is_sound:
+        raise WorldFailed("the two logs do not verify or do not agree. Next: vian verify")
+
+
+def _print(summary: Summary, output: Output) -> None:
+    if output.is_json:
+        output.result(
+            {
+                "clip": str(summary.clip.path),
+                "origin": summary.clip.origin,
+                "frames": summary.extraction.frames,
+                "events": summary.events,
+                "bytes_per_event": round(summary.bytes_per_event, 2),
+                "situations": {row["rule"]: row["situations"] for row in summary.situations.to_pylist()},
+                "events_replicated": summary.events_replicated,
+                "sound": summary.is_sound,
+                "seconds": round(summary.seconds, 2),
+                "report": str(summary.report.resolve()),
+            }
+        )
+        return
+    output.table(f"ViAn demo, {summary.seconds:.1f} s", ("what", "value"), summary_rows(summary))
+    output.line(f"report: {summary.report.resolve()}")
+    output.line(f'next:   vian query "{ANSWER_SQL}"')
+    output.line('        vian query "SELECT type, count(*) FROM events GROUP BY ALL"')
+    output.line("        vian tail --type situation_detected")
+
+
+def _check_writable(report: Path) -> None:
+    if not report.resolve().parent.is_dir() or report.is_dir():
+        raise WorldFailed(f"the report cannot be written to {report}: no such folder. Next: give another --report FILE")

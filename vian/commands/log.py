@@ -1,0 +1,163 @@
+"""`vian streams`, `vian tail`, `vian verify`: look at the log and prove it."""
+
+import subprocess
+from typing import Annotated
+
+import typer
+
+from events import Segment, UnknownType, decode, events_of
+from store import Log, Projector, Subscription, verify
+from vian import options
+from vian.errors import WorldFailed
+from vian.options import opened, settings_for
+from vian.output import Output, to_json
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands."""
+    app.command(epilog="Example: vian streams --json")(streams)
+    app.command(epilog="Example: vian tail --follow --type situation_detected")(tail)
+    app.command(epilog="Example: vian project")(project)
+    app.command(
+        epilog='Example: vian psql -- -c "select type, count(*) from events group by type"',
+    )(psql)
+    app.command(name="verify", epilog="Example: vian verify --data-dir /var/lib/vian")(verify_log)
+
+
+def streams(data_dir: options.DataDir = None, dsn: options.Dsn = None, as_json: options.Json = False) -> None:
+    """List the streams: how many events each has, and its newest chain hash."""
+    with opened(settings_for(data_dir, dsn), data_dir=data_dir) as log:
+        rows = [(str(head.stream), head.epoch, head.sequence, head.chain_hash.hex()) for head in log.streams()]
+    Output(is_json=as_json).table("", ("stream", "epoch", "sequence", "chain_hash"), rows)
+
+
+def tail(
+    count: Annotated[int, typer.Option("--count", "-n", help="How many of the newest events.", min=0)] = 10,
+    follow: Annotated[bool, typer.Option("--follow", "-f", help="Go on with what comes, until Ctrl-C.")] = False,
+    types: options.Types = None,
+    source: options.Sources = None,
+    data_dir: options.DataDir = None,
+    dsn: options.Dsn = None,
+    as_json: options.Json = False,
+) -> None:
+    """Show the newest events, oldest first, as JSON after their place."""
+    output = Output(is_json=as_json)
+    with opened(settings_for(data_dir, dsn), data_dir=data_dir) as log:
+        for name in types or []:
+            if name not in log.catalogue:
+                log.catalogue.newest(name)
+        head = log.head()
+        for line in _newest(log, count, types, source, as_json):
+            output.line(line)
+        if follow:
+            _follow(log, head, types, source, output)
+
+
+def _newest(log: Log, count: int, types: list[str] | None, sources: list[str] | None, as_json: bool) -> list[str]:
+    """Lines for the newest `count` events, looking back over ever longer stretches of the log."""
+    head = log.head()
+    stretch = 64
+    while True:
+        first = max(1, head - stretch + 1)
+        segments = list(log.read_all(first, types=types, sources=sources, to_position=head))
+        lines = [line for segment in segments for line in _lines(log, segment, as_json)]
+        if len(lines) >= count or first == 1:
+            return lines[len(lines) - min(count, len(lines)) :]
+        stretch *= 8
+
+
+def _follow(log: Log, position: int, types: list[str] | None, sources: list[str] | None, output: Output) -> None:
+    # A reader that is not a registered subscriber: it begins where the newest events ended.
+    with Subscription(log, "tail", types=types, sources=sources) as subscription:
+        subscription.position = position
+        while True:
+            for segment in subscription.poll(timeout_s=1.0).segments:
+                for line in _lines(log, segment, output.is_json):
+                    output.line(line)
+
+
+def _lines(log: Log, segment: Segment, as_json: bool) -> list[str]:
+    place = {"station": segment.stream.station, "source": segment.stream.source, "type": segment.stream.type}
+    first = segment.header.first_sequence
+    try:
+        events = [event.model_dump(mode="json") for event in events_of(decode(segment, log.catalogue))]
+    except UnknownType as error:
+        return [to_json({**place, "sequence": first, "events": segment.header.event_count, "unknown": str(error)})]
+    if as_json:
+        return [to_json({**place, "sequence": first + i, **event}) for i, event in enumerate(events)]
+    return [f"{event.pop('time')}  {segment.stream}/{first + i}  {to_json(event)}" for i, event in enumerate(events)]
+
+
+def project(data_dir: options.DataDir = None, dsn: options.Dsn = None, as_json: options.Json = False) -> None:
+    """Bring the row tables for psql and other SQL tools up to the log."""
+    output = Output(is_json=as_json)
+    with opened(settings_for(data_dir, dsn), data_dir=data_dir) as log:
+        projector = Projector(log)
+        before = projector.position
+        with output.progress("positions", log.head()) as bar:
+            while not (delivery := projector.step()).is_caught_up:
+                bar.at(delivery.position)
+        projector.close()
+    output.result(
+        {
+            "position": projector.position,
+            "segments": projector.position - before,
+            "skipped": projector.segments_skipped,
+        },
+        f"row tables up to position {projector.position}: {projector.position - before} segments now"
+        + (f", {projector.segments_skipped} of unknown types without rows" if projector.segments_skipped else ""),
+    )
+
+
+def psql(
+    arguments: Annotated[list[str] | None, typer.Argument(help="What psql is given, after --.")] = None,
+    data_dir: options.DataDir = None,
+    dsn: options.Dsn = None,
+) -> None:
+    """Run psql on the row tables; an embedded PostgreSQL runs as long as psql does."""
+    with opened(settings_for(data_dir, dsn), data_dir=data_dir) as log:
+        program = str(log.server.bin_path / "psql") if log.server is not None else "psql"
+        try:
+            code = subprocess.call([program, log.dsn, *(arguments or [])])
+        except FileNotFoundError as error:
+            raise WorldFailed("psql is not installed here. Next: install PostgreSQL's client programs") from error
+    if code:
+        raise WorldFailed(f"psql ended with exit code {code}")
+
+
+def verify_log(data_dir: options.DataDir = None, dsn: options.Dsn = None, as_json: options.Json = False) -> None:
+    """Recompute every hash of the log from its stored bytes; exit code 1 and the first bad position if one differs."""
+    output = Output(is_json=as_json)
+    with (
+        opened(settings_for(data_dir, dsn), data_dir=data_dir) as log,
+        output.progress("positions", log.head()) as bar,
+    ):
+        found = verify(log, on_segment=lambda segment: bar.at(segment.position))
+    if not found.is_sound:
+        for broken in found.broken:
+            output.result(
+                {
+                    "sound": False,
+                    "station": broken.stream.station,
+                    "stream": str(broken.stream),
+                    "position": broken.position,
+                    "first_sequence": broken.first_sequence,
+                    "reason": broken.reason,
+                },
+                f"broken: {broken}",
+            )
+        raise WorldFailed(
+            f"the log does not verify: {len(found.broken)} breaks. "
+            "Next: keep this database as it is, and restore the streams named from central or a backup"
+        )
+    output.result(
+        {
+            "sound": True,
+            "segments": found.segments,
+            "events": found.events,
+            "streams": found.streams,
+            "position": found.position,
+        },
+        f"sound: {found.events} events in {found.segments} segments of {found.streams} streams, up to position "
+        f"{found.position}",
+    )

@@ -1,0 +1,93 @@
+"""`vian query`: SQL over the log."""
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import pyarrow as pa
+import pyarrow.csv
+import pyarrow.parquet
+import typer
+
+from vian import options
+from vian.errors import WorldFailed, WrongUsage
+from vian.options import opened, settings_for, time_of
+from vian.output import Output, to_json
+from vian.querying import Scope
+from vian.querying import query as answer
+
+_EXAMPLE = 'Example: vian query "SELECT type, count(*) FROM events GROUP BY ALL"'
+
+
+class Format(StrEnum):
+    """How an answer is written."""
+
+    TABLE = "table"
+    CSV = "csv"
+    JSON = "json"
+    PARQUET = "parquet"
+    ARROW = "arrow"
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command(epilog=_EXAMPLE)(query)
+
+
+def query(
+    sql: Annotated[str, typer.Argument(help="DuckDB SQL; each event type is a table, `events` holds all envelopes.")],
+    format_: Annotated[Format, typer.Option("--format", help="How the answer is written.")] = Format.TABLE,
+    output_file: Annotated[
+        Path | None, typer.Option("--output", "-o", help="Write the answer to this file.", dir_okay=False)
+    ] = None,
+    since: options.Since = None,
+    until: options.Until = None,
+    source: options.Sources = None,
+    data_dir: options.DataDir = None,
+    dsn: options.Dsn = None,
+    as_json: options.Json = False,
+) -> None:
+    """Answer a query over the log with DuckDB."""
+    chosen = Format.JSON if as_json else format_
+    if chosen in (Format.PARQUET, Format.ARROW) and output_file is None:
+        raise WrongUsage(f"--format {chosen} is binary and needs a file. Next: add --output FILE")
+    with opened(settings_for(data_dir, dsn), data_dir=data_dir) as log:
+        scope = Scope(time_of("--since", since), time_of("--until", until), source)
+        table = answer(log, sql, scope)
+    try:
+        write(table, chosen, output_file, Output(is_json=chosen is Format.JSON))
+    except OSError as error:
+        raise WorldFailed(f"the answer cannot be written to {output_file}: {error.strerror}") from error
+
+
+def write(table: pa.Table, format_: Format, file: Path | None, output: Output) -> None:
+    """Write an answer to a file, or print it."""
+    if file is None:
+        _print(table, format_, output)
+    elif format_ is Format.PARQUET:
+        pa.parquet.write_table(table, file)
+    elif format_ is Format.ARROW:
+        with pa.OSFile(str(file), "wb") as sink, pa.ipc.new_file(sink, table.schema) as writer:
+            writer.write_table(table)
+    elif format_ is Format.JSON:
+        file.write_text("".join(to_json(row) + "\n" for row in table.to_pylist()), encoding="utf-8")
+    else:
+        pa.csv.write_csv(_flat(table), file)
+
+
+def _print(table: pa.Table, format_: Format, output: Output) -> None:
+    if format_ is Format.CSV:
+        sink = pa.BufferOutputStream()
+        pa.csv.write_csv(_flat(table), sink)
+        output.stream.write(sink.getvalue().to_pybytes().decode())
+    else:
+        output.table("", table.column_names, ([row[name] for name in table.column_names] for row in table.to_pylist()))
+
+
+def _flat(table: pa.Table) -> pa.Table:
+    """The table with nested columns as JSON text, for CSV."""
+    for index, field in enumerate(table.schema):
+        if pa.types.is_nested(field.type):
+            texts = [None if value is None else to_json(value) for value in table.column(index).to_pylist()]
+            table = table.set_column(index, field.name, pa.array(texts, pa.string()))
+    return table

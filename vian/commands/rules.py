@@ -1,0 +1,97 @@
+"""`vian rules`: check rule files, and run them over the log."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated
+
+import pyarrow as pa
+import typer
+
+from events import load_catalogue
+from patterns.cases import run_tests
+from patterns.lint import check
+from patterns.processor import Processor, schemas
+from patterns.rule import Rule
+from store import Projector
+from vian import options
+from vian.errors import WorldFailed, WrongUsage
+from vian.options import opened, settings_for
+from vian.output import Output
+from vian.parts import Parts, stepping
+from vian.rules import deploy_all, load_all
+
+app = typer.Typer(help="Check rule files, and run them over the log.", no_args_is_help=True)
+
+Paths = Annotated[list[Path], typer.Argument(help="Rule files, or folders of them.")]
+_STEP_SECONDS = 1.0
+
+
+@app.command(name="check", epilog="Example: vian rules check rules/")
+def check_rules(paths: Paths, as_json: options.Json = False) -> None:
+    """Read rule files, bind them to the event types, and run the tests in them."""
+    output = Output(is_json=as_json)
+    known = schemas(load_catalogue())
+    rules = load_all(paths)
+    bad = [rule.rule for rule in rules if not _is_good(rule, known, output)]
+    if bad:
+        raise WrongUsage(f"{len(bad)} of {len(rules)} rules did not pass: {', '.join(bad)}")
+
+
+def _is_good(rule: Rule, known: Mapping[str, pa.Schema], output: Output) -> bool:
+    """Print what is found about the rule; whether it can go into service."""
+    findings = check(rule, known)
+    for finding in findings:
+        output.result({"rule": rule.rule, "severity": finding.severity, "message": finding.message}, str(finding))
+    if any(finding.severity == "error" for finding in findings):
+        return False
+    results = run_tests(rule, known)
+    for result in results:
+        verdict = "passed" if result.passed else f"FAILED\n{result.difference}"
+        output.result(
+            {"rule": rule.rule, "test": result.name, "passed": result.passed, "difference": result.difference},
+            f"{rule.rule} v{rule.version}, {result.name}: {verdict}",
+        )
+    if not results:
+        output.result({"rule": rule.rule, "tests": 0}, f"{rule.rule} v{rule.version}: fits, but has no tests")
+    return all(result.passed for result in results)
+
+
+@app.command(epilog="Example: vian rules run rules/ --once")
+def run(
+    paths: Paths,
+    once: Annotated[bool, typer.Option("--once", help="End when the log's present end is reached.")] = False,
+    data_dir: options.DataDir = None,
+    dsn: options.Dsn = None,
+    station: options.Station = None,
+    as_json: options.Json = False,
+) -> None:
+    """Deploy rules and run them over the log from where they stopped; append the situations they find."""
+    settings = settings_for(data_dir, dsn, station=station)
+    output = Output(is_json=as_json)
+    rules = load_all(paths)
+    with opened(settings, data_dir=data_dir) as log:
+        for rule in deploy_all(log, settings.station, rules):
+            output.note(f"deployed {rule.rule} version {rule.version}")
+        processor = Processor(log, settings.station, rules)
+        found = 0
+        if once:
+            found = processor.catch_up()
+            Projector(log).catch_up()
+        else:
+            output.note(f"{len(rules)} rules run; Ctrl-C ends them")
+
+            def step() -> None:
+                nonlocal found
+                found += processor.step(_STEP_SECONDS).situations
+
+            with Parts([stepping("rules", step, log)]) as parts:
+                while parts.wait(_STEP_SECONDS):
+                    pass
+        processor.close()
+    for name, late in processor.late.items():
+        if late:
+            output.note(f"rule {name}: {late} events came too late to take part")
+    output.result({"rules": len(rules), "situations": found}, f"{found} situations found by {len(rules)} rules")
+    if processor.failures:
+        reasons = "; ".join(f"{name}: {failure}" for name, failure in processor.failures.items())
+        raise WorldFailed(f"rules were set aside: {reasons}")

@@ -1,0 +1,106 @@
+"""`vian serve`: the long-running program of a station or of the central server."""
+
+import signal
+import threading
+from contextlib import ExitStack
+from enum import StrEnum
+from pathlib import Path
+from types import FrameType
+from typing import Annotated
+
+import typer
+
+from store import Log, Projector
+from vian import logs, options
+from vian.api import bind, create_app, serving
+from vian.errors import WrongUsage
+from vian.options import opened, settings_for
+from vian.output import Output
+from vian.parts import Part, Parts, stepping
+from vian.replication import load_plan, station_daemon, sync_part
+from vian.rules import processor_part
+from vian.settings import Settings
+from vian.stations import read_grants, read_token
+
+STEP_SECONDS = 1.0
+
+
+class Role(StrEnum):
+    """What a server is for."""
+
+    STATION = "station"
+    CENTRAL = "central"
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command(epilog="Example: vian serve --role central --stations-file stations.toml --port 8470")(serve)
+
+
+def serve(
+    role: Annotated[Role, typer.Option("--role", help="station: rules and sync; central: takes stations' streams.")],
+    host: Annotated[str | None, typer.Option("--host", help="Address to listen on.", show_default="127.0.0.1")] = None,
+    port: Annotated[
+        int | None, typer.Option("--port", help="Port to listen on; 0 takes a free one.", show_default="8470")
+    ] = None,
+    rules: Annotated[Path | None, typer.Option("--rules", help="Folder or file of rules to run.")] = None,
+    stations_file: Annotated[
+        Path | None, typer.Option("--stations-file", help="Central: the stations that may replicate.")
+    ] = None,
+    central: Annotated[str | None, typer.Option("--central", help="Station: address of the central server.")] = None,
+    token_file: Annotated[Path | None, typer.Option("--token-file", help="Station: its token.")] = None,
+    plan: Annotated[Path | None, typer.Option("--plan", help="Station: which streams, in which order.")] = None,
+    data_dir: options.DataDir = None,
+    dsn: options.Dsn = None,
+    station: options.Station = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Logs as one JSON object a line.")] = False,
+) -> None:
+    """Run the HTTP interface, the row projector, the rules and sync in one program, until SIGINT or SIGTERM."""
+    given = {"host": host, "port": port, "rules": rules, "stations_file": stations_file, "central": central}
+    settings = settings_for(data_dir, dsn, station=station, token_file=token_file, plan=plan, **given)
+    logs.configure(as_json=as_json)
+    if role is Role.CENTRAL and settings.stations_file is None:
+        raise WrongUsage(
+            "a central server needs to know its stations. Next: vian station add NAME --stations-file FILE, "
+            "then give --stations-file FILE here"
+        )
+    grants = read_grants(settings.stations_file) if role is Role.CENTRAL and settings.stations_file else None
+    listening = bind(settings.host, settings.port)
+    with ExitStack() as stack:
+        stack.callback(listening.close)
+        log = stack.enter_context(opened(settings, data_dir=data_dir))
+        parts = stack.enter_context(Parts(_parts(stack, log, settings, role)))
+        address = stack.enter_context(serving(create_app(log, grants), listening))
+        Output(is_json=as_json).result(
+            {"role": role, "address": address, "station": settings.station}, f"vian {role} at {address}"
+        )
+        stopping = _stop_on_signals()
+        while not stopping.wait(0.2) and parts.wait(0.2):
+            pass
+
+
+def _parts(stack: ExitStack, log: Log, settings: Settings, role: Role) -> list[Part]:
+    projector = Projector(log)
+    parts = [stepping("projector", lambda: projector.step(STEP_SECONDS), log, projector.close)]
+    if settings.rules is not None:
+        parts.append(processor_part(log, settings.station, settings.rules))
+    if role is Role.STATION and settings.central is not None:
+        if settings.token_file is None:
+            raise WrongUsage("sync needs this station's token. Next: give --token-file FILE")
+        token = read_token(settings.token_file)
+        plan = load_plan(settings.plan)
+        daemon = stack.enter_context(station_daemon(log, settings.station, settings.central, token, plan))
+        parts.append(sync_part(daemon))
+    return parts
+
+
+def _stop_on_signals() -> threading.Event:
+    """An event that SIGINT or SIGTERM sets."""
+    stopping = threading.Event()
+
+    def stop(_number: int, _frame: FrameType | None) -> None:
+        stopping.set()
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, stop)
+    return stopping

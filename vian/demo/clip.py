@@ -1,0 +1,99 @@
+"""Which video the demo shows.
+
+In this order: a file that the user names; the sample folder (`VIAN_DATA`); a pinned download that
+is checked against its SHA-256; and, offline, a street scene that the demo renders itself.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+
+import platformdirs
+import pooch
+from extractors.scene import render_street
+
+from vian.errors import WrongUsage
+
+NAME = "one-by-one-person-detection.mp4"
+SHA256 = "a5964aa259099a482a8b360ffc2c57b5a30f84d5919236a4dad01f8e929ac07c"
+URL = f"https://raw.githubusercontent.com/intel-iot-devkit/sample-videos/579788908228/{NAME}"
+ATTRIBUTION = (
+    "Clip: one-by-one-person-detection.mp4 of intel-iot-devkit/sample-videos (commit 579788908228), "
+    "Intel Corporation, CC BY 4.0"
+)
+_IN_SAMPLES = Path("video/intel_one_by_one_person") / NAME
+_DOWNLOAD_SECONDS_MAX = 60
+
+
+class Origin(StrEnum):
+    """Where the demo's clip came from."""
+
+    GIVEN = "given"
+    SAMPLES = "samples"
+    DOWNLOAD = "download"
+    RENDERED = "rendered"
+
+
+@dataclass(frozen=True, slots=True)
+class Clip:
+    """The demo's video."""
+
+    path: Path
+    origin: Origin
+    attribution: str | None
+    """who made it and under which licence, where the demo knows"""
+
+    @property
+    def is_known(self) -> bool:
+        """Whether it is the clip that the demo's zones were drawn for."""
+        return self.origin in (Origin.SAMPLES, Origin.DOWNLOAD)
+
+
+def choose(given: Path | None, samples: Path, note: Callable[[str], None], *, url: str = URL) -> Clip:
+    """The clip to show.
+
+    Args:
+        given: What the user named, if anything.
+        samples: Folder of sample videos; may not exist.
+        note: Told what the user should know.
+        url: Where the pinned clip is.
+
+    Raises:
+        WrongUsage: The named file does not exist.
+    """
+    if given is not None:
+        if not given.is_file():
+            raise WrongUsage(f"--video must be a video file, got {given}, which is not a file")
+        return Clip(given, Origin.GIVEN, None)
+    if (samples / _IN_SAMPLES).is_file():
+        return Clip(samples / _IN_SAMPLES, Origin.SAMPLES, ATTRIBUTION)
+    try:
+        return Clip(_downloaded(url), Origin.DOWNLOAD, ATTRIBUTION)
+    except (OSError, ValueError) as error:
+        note(f"the sample clip cannot be downloaded ({_first_line(error)}); showing a rendered street scene instead")
+        return Clip(_rendered(), Origin.RENDERED, "Clip: a street scene rendered by ViAn itself")
+
+
+def _downloaded(url: str) -> Path:
+    """The pinned clip, from the cache if it is there; checked against its SHA-256 each time."""
+    return Path(
+        pooch.retrieve(
+            url,
+            known_hash=f"sha256:{SHA256}",
+            fname=NAME,
+            path=platformdirs.user_cache_path("vian"),
+            downloader=pooch.HTTPDownloader(timeout=_DOWNLOAD_SECONDS_MAX),
+        )
+    )
+
+
+def _rendered() -> Path:
+    path = platformdirs.user_cache_path("vian") / "street.mp4"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    render_street(path)
+    return path
+
+
+def _first_line(error: Exception) -> str:
+    return str(error).strip().splitlines()[0][:200] if str(error).strip() else type(error).__name__

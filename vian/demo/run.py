@@ -1,0 +1,247 @@
+"""The demo: a video becomes events, situations, an answer in SQL, and a second log with the same chain.
+
+Contract: everything runs for real, and together: extraction, row projectors, the rule processor, a
+central server over HTTP on loopback, and the sync daemon. The log depends on the clip alone: its
+times are the clip's, beginning at `CLIP_START`. Run again after a kill it goes on; run again after
+its end it appends nothing and shows the same.
+"""
+
+import hashlib
+import socket
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from time import monotonic
+
+import pyarrow as pa
+
+from patterns.processor import Processor, deploy
+from patterns.rule import Rule
+from store import Log, Projector, Verification, open_log, verify
+from sync.grants import Grants, token_hash
+from vian.api import bind, create_app, serving
+from vian.demo.clip import Clip
+from vian.demo.report import Facts, write_report
+from vian.demo.scenes import rules_for, source_of
+from vian.errors import WorldFailed, WrongUsage
+from vian.extraction import Extraction, Job, extract_motion, media_clock
+from vian.output import Output
+from vian.parts import Parts, stepping
+from vian.querying import query
+from vian.replication import load_plan, station_daemon, sync_part
+from vian.rules import file_text
+
+STATION = "demo"
+CLIP_START = datetime(2026, 1, 1, 10, tzinfo=UTC)
+CENTRAL_DIR = "central"
+CENTRAL_PORT = 8471
+"""Port of the demo's central server, so that its address, which the log records, is the same each time."""
+ANSWER_SQL = (
+    "SELECT rule, severity, count(*) AS situations, min(time) AS first, max(time) AS last "
+    "FROM situation_detected GROUP BY ALL ORDER BY rule"
+)
+_TOKEN = hashlib.sha256(b"the demo's two logs trust each other on loopback").hexdigest()
+_CONVERGE_SECONDS_MAX = 120.0
+_STEP_SECONDS = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """What the demo came to."""
+
+    clip: Clip
+    extraction: Extraction
+    seconds: float
+    events: int
+    """events in the station's log"""
+    payload_bytes: int
+    situations: pa.Table
+    """answer to `ANSWER_SQL`"""
+    events_replicated: int
+    """events in the central log"""
+    station: Verification
+    central: Verification
+    heads_agree: bool
+    report: Path
+
+    @property
+    def bytes_per_event(self) -> float:
+        """Stored payload bytes for each event."""
+        return self.payload_bytes / self.events
+
+    @property
+    def is_sound(self) -> bool:
+        """Whether both chains verify and their heads agree."""
+        return self.station.is_sound and self.central.is_sound and self.heads_agree
+
+
+def run_demo(open_station: Callable[[], Log], central_dir: Path, clip: Clip, report: Path, output: Output) -> Summary:
+    """Run the demo on the clip, or go on with it.
+
+    Args:
+        open_station: Opens the station's log.
+        central_dir: Folder of the central log.
+        clip: The video.
+        report: File of the report.
+        output: Where progress is shown.
+
+    Raises:
+        WrongUsage: The log holds another station's streams.
+        WorldFailed: The parts did not come together in time.
+    """
+    began = monotonic()
+    with ExitStack() as stack:
+        output.note("starting two PostgreSQL servers: the station's and the central one")
+        station = stack.enter_context(open_station())
+        central = stack.enter_context(open_log(data_dir=central_dir))
+        _check_is_ours(station)
+        rules = rules_for(clip)
+        deploy(station, STATION, rules, {rule.rule: file_text(rule) for rule in rules}, CLIP_START)
+        extraction = _run_together(stack, station, central, rules, clip, output)
+        verified = verify(station), verify(central)
+        agree = _heads(station) == _heads(central)
+        answer = query(station, ANSWER_SQL)
+        events, payload_bytes = _size(station)
+        summary = Summary(
+            clip,
+            extraction,
+            monotonic() - began,
+            events,
+            payload_bytes,
+            answer,
+            _size(central)[0],
+            *verified,
+            agree,
+            report,
+        )
+        output.note("drawing the report")
+        write_report(station, clip.path, rules, _facts(summary), report)
+    return summary
+
+
+def _run_together(
+    stack: ExitStack, station: Log, central: Log, rules: list[Rule], clip: Clip, output: Output
+) -> Extraction:
+    """Extraction, projectors, rules, server and sync at once, until all have come to the same place."""
+    listening = _listen()
+    app = create_app(central, Grants({STATION: token_hash(_TOKEN)}))
+    address = stack.enter_context(serving(app, listening))
+    daemon = stack.enter_context(
+        station_daemon(station, STATION, address, _TOKEN, load_plan(None), now=lambda: CLIP_START)
+    )
+    processor = Processor(station, STATION, rules)
+    projectors = [Projector(station), Projector(central)]
+    parts = [
+        stepping("rules", lambda: processor.step(_STEP_SECONDS), station, processor.close),
+        stepping("rows", lambda: projectors[0].step(_STEP_SECONDS), station, projectors[0].close),
+        stepping("central rows", lambda: projectors[1].step(_STEP_SECONDS), central, projectors[1].close),
+        sync_part(daemon),
+    ]
+    with Parts(parts) as running:
+        with output.progress("frames", None) as bar:
+
+            def show(done: int, expected: int | None) -> None:
+                running.check()
+                bar.at(done, expected)
+
+            extraction = extract_motion(_job(station, clip, show, output))
+        output.note("bringing rules, row tables and the central log to the same place")
+        _converge(running, station, central, processor, projectors)
+    return extraction
+
+
+def _job(station: Log, clip: Clip, show: Callable[[int, int | None], None], output: Output) -> Job:
+    return Job(
+        log=station,
+        station=STATION,
+        source=source_of(clip),
+        path=clip.path,
+        started_at=CLIP_START,
+        stamp=media_clock,
+        on_progress=show,
+        on_note=output.note,
+    )
+
+
+def _converge(parts: Parts, station: Log, central: Log, processor: Processor, projectors: list[Projector]) -> None:
+    """Wait until every part has seen everything.
+
+    Raises:
+        WorldFailed: One of them has not in time.
+    """
+    extracted = station.head()
+    _wait(parts, "the rules have not seen all events", lambda: processor.position >= extracted)
+    _wait(parts, "the central log has not all events", lambda: _heads(station) == _heads(central))
+    for projector, log in zip(projectors, (station, central), strict=True):
+        head = log.head()
+        _wait(parts, "the row tables are behind", lambda p=projector, h=head: p.position >= h)  # type: ignore[misc]
+
+
+def _wait(parts: Parts, what: str, is_done: Callable[[], bool]) -> None:
+    deadline = monotonic() + _CONVERGE_SECONDS_MAX
+    while not is_done():
+        if not parts.wait(0.05):
+            parts.check()
+        if monotonic() > deadline:
+            raise WorldFailed(f"{what} after {_CONVERGE_SECONDS_MAX:g} s. Next: run the demo again; it goes on")
+
+
+def _heads(log: Log) -> list[tuple[str, int, bytes]]:
+    """Name, sequence and chain hash of the demo station's streams."""
+    return [
+        (str(head.stream), head.sequence, head.chain_hash)
+        for head in log.streams()
+        if head.stream.station == STATION and head.sequence
+    ]
+
+
+def _size(log: Log) -> tuple[int, int]:
+    """Events and payload bytes of the demo station's streams."""
+    sizes = [(segment.header.event_count, len(segment.payload)) for segment in log.read_all(stations=[STATION])]
+    return sum(count for count, _ in sizes), sum(size for _, size in sizes)
+
+
+def _check_is_ours(station: Log) -> None:
+    strangers = sorted({head.stream.station for head in station.streams()} - {STATION})
+    if strangers:
+        raise WrongUsage(
+            f"this log holds streams of {', '.join(strangers[:3])}, and the demo's would stay in it for ever. "
+            "Next: give the demo a folder of its own: vian demo --data-dir FOLDER"
+        )
+
+
+def _listen() -> socket.socket:
+    try:
+        return bind("127.0.0.1", CENTRAL_PORT)
+    except WorldFailed:
+        # Taken, perhaps by another demo: any port will do, and the log will name it.
+        return bind("127.0.0.1", 0)
+
+
+def summary_rows(summary: Summary) -> Iterator[tuple[str, str]]:
+    """The summary as names and values, for the table and the report."""
+    extraction = summary.extraction
+    yield "frames", f"{extraction.frames}" + (" (extracted in an earlier run)" if extraction.was_done else "")
+    yield "events", f"{summary.events}"
+    yield "bytes per event", f"{summary.bytes_per_event:.1f}"
+    for row in summary.situations.to_pylist():
+        yield f"situations: {row['rule']}", str(row["situations"])
+    if not summary.situations.num_rows:
+        yield "situations", "0"
+    yield "events replicated", f"{summary.events_replicated}"
+    yield "chains verified", "yes, heads agree" if summary.is_sound else "NO"
+
+
+def _facts(summary: Summary) -> Facts:
+    return Facts(
+        summary=list(summary_rows(summary)),
+        attribution=summary.clip.attribution,
+        video=summary.clip.path.name,
+        source=summary.extraction.source,
+        station=STATION,
+        answer_sql=ANSWER_SQL,
+        answer=[[str(value) for value in row.values()] for row in summary.situations.to_pylist()],
+        answer_columns=summary.situations.column_names,
+    )

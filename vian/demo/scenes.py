@@ -1,0 +1,62 @@
+"""Where the demo's zones and lines lie: rules are general, a scene gives them their places."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib.resources import as_file, files
+
+from patterns.geometry import Line, Zone
+from patterns.loading import load_rule
+from patterns.rule import Rule
+from vian.demo.clip import Clip, Origin
+
+RULES = ("zone-intrusion", "loitering", "line-crossing")
+"""The shipped rules that the demo shows."""
+
+Corners = Sequence[tuple[float, float]]
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """Places in one camera's picture, normalised (0 to 1, x right, y down)."""
+
+    source: str
+    zone: Corners
+    """what people enter, and linger in"""
+    line: Corners
+    """what people cross, from its first point to its second"""
+    dwell: str
+    """how long is lingering"""
+
+
+_LOBBY = Scene("lobby", [(0.47, 0.80), (0.72, 0.80), (0.76, 0.985), (0.43, 0.985)], [(0.86, 1.0), (0.86, 0.55)], "6 s")
+_STREET = Scene("street", [(0.30, 0.55), (0.70, 0.55), (0.75, 0.95), (0.25, 0.95)], [(0.5, 1.0), (0.5, 0.0)], "6 s")
+_ANY = Scene("video", [(0.25, 0.4), (0.75, 0.4), (0.85, 0.98), (0.15, 0.98)], [(0.5, 1.0), (0.5, 0.0)], "6 s")
+_SCENES: Mapping[Origin, Scene] = {
+    Origin.SAMPLES: _LOBBY,
+    Origin.DOWNLOAD: _LOBBY,
+    Origin.RENDERED: _STREET,
+    Origin.GIVEN: _ANY,
+}
+
+
+def source_of(clip: Clip) -> str:
+    """The name that the clip's camera bears in the log."""
+    return _SCENES[clip.origin].source
+
+
+def rules_for(clip: Clip) -> list[Rule]:
+    """The demo's rules, with their zones and lines in the clip's scene."""
+    scene = _SCENES[clip.origin]
+    return [_placed(_shipped(name), scene) for name in RULES]
+
+
+def _shipped(name: str) -> Rule:
+    with as_file(files("patterns").joinpath("rules", f"{name}.yaml")) as path:
+        return load_rule(path)
+
+
+def _placed(rule: Rule, scene: Scene) -> Rule:
+    zones = {name: Zone(source=scene.source, polygon=tuple(scene.zone)) for name in rule.zones}
+    lines = {name: Line(source=scene.source, points=(scene.line[0], scene.line[1])) for name in rule.lines}
+    params = {name: scene.dwell for name in rule.params if name == "dwell"}
+    return rule.with_zones(zones).with_lines(lines).with_params(params)

@@ -1,0 +1,140 @@
+"""What stands in the way of an installation: one finding a check, each with the next command.
+
+Contract: looks, and changes nothing but a probe file that it removes.
+"""
+
+import base64
+import hashlib
+import importlib.util
+import shutil
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from enum import StrEnum
+from importlib.metadata import PackageNotFoundError, distribution
+from pathlib import Path
+
+from store import Log
+from store.embedded import MAJOR
+from store.projector import NAME as PROJECTOR
+from vian.settings import Settings, config_file
+from vian.version import VERSION
+
+PACKAGES = ("events", "store", "patterns", "extractors", "sync", "migrations", "vian")
+DISK_FREE_MIB_MIN = 500
+
+
+class Verdict(StrEnum):
+    """How a check came out."""
+
+    OK = "ok"
+    NOTE = "note"
+    """worth knowing; nothing to do now"""
+    BAD = "bad"
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """What one check found."""
+
+    check: str
+    verdict: Verdict
+    text: str
+
+
+def examine(settings: Settings, open_existing: Callable[[], Log]) -> Iterator[Finding]:
+    """The findings, one after the other.
+
+    Args:
+        settings: The installation's settings.
+        open_existing: Opens the log; called only when there is one.
+    """
+    yield Finding("version", Verdict.OK, f"ViAn {VERSION}, Python {sys.version.split()[0]}")
+    yield Finding(
+        "settings", Verdict.OK, f"from {config_file()}" if config_file().exists() else "defaults and environment"
+    )
+    yield from _packages()
+    if settings.dsn is None:
+        yield from _data_dir(settings.data_dir)
+        if not (settings.data_dir / "pg" / "PG_VERSION").exists():
+            yield Finding(
+                "log", Verdict.NOTE, f"no log in {settings.data_dir} yet; vian demo or vian extract makes one"
+            )
+            return
+    yield from _log(open_existing)
+
+
+def _packages() -> Iterator[Finding]:
+    """Each of our files must be ours: PyPI has another `events`, for one, that installs over it."""
+    strangers = [*_elsewhere(), *_overwritten()]
+    if strangers:
+        yield Finding(
+            "packages",
+            Verdict.BAD,
+            f"another distribution took the place of: {', '.join(strangers[:5])}. "
+            "Next: pip uninstall it, then pip install --force-reinstall vian",
+        )
+    else:
+        yield Finding("packages", Verdict.OK, f"{', '.join(PACKAGES)} belong to this distribution")
+
+
+def _elsewhere() -> Iterator[str]:
+    """Packages that are imported from another folder than this one."""
+    here = Path(__file__).resolve().parent.parent
+    for name in PACKAGES:
+        found = importlib.util.find_spec(name)
+        origin = Path(found.origin).resolve() if found and found.origin else None
+        if origin is None or origin.parent.parent != here:
+            yield f"{name} ({origin or 'missing'})"
+
+
+def _overwritten() -> Iterator[str]:
+    """Files that differ from what the installed distribution recorded; none in a checkout."""
+    try:
+        recorded = distribution("vian").files or []
+    except PackageNotFoundError:
+        recorded = []
+    for file in recorded:
+        if file.hash is None or file.parts[0] not in PACKAGES:
+            continue
+        path = Path(str(file.locate()))
+        digest = hashlib.new(file.hash.mode, path.read_bytes()).digest() if path.exists() else b""
+        if base64.urlsafe_b64encode(digest).rstrip(b"=").decode() != file.hash.value:
+            yield str(file)
+
+
+def _data_dir(data_dir: Path) -> Iterator[Finding]:
+    existing = next(folder for folder in (data_dir, *data_dir.parents) if folder.exists())
+    try:
+        with tempfile.TemporaryFile(dir=existing):
+            pass
+    except OSError as error:
+        yield Finding(
+            "data directory",
+            Verdict.BAD,
+            f"{data_dir} cannot be written: {error.strerror}. Next: give another with --data-dir",
+        )
+        return
+    yield Finding("data directory", Verdict.OK, f"{data_dir} (embedded PostgreSQL {MAJOR})")
+    free = shutil.disk_usage(existing).free // 2**20
+    verdict = Verdict.OK if free >= DISK_FREE_MIB_MIN else Verdict.BAD
+    next_step = "" if verdict is Verdict.OK else ". Next: free some, or move the log with --data-dir"
+    yield Finding("disk", verdict, f"{free} MiB free{next_step}")
+
+
+def _log(open_existing: Callable[[], Log]) -> Iterator[Finding]:
+    with open_existing() as log:
+        head = log.head()
+        yield Finding("log", Verdict.OK, f"{len(log.streams())} streams, {head} segments, epoch {log.epoch}")
+        lag = head - log.checkpoint(PROJECTOR).position
+        verdict = Verdict.OK if lag == 0 else Verdict.NOTE
+        next_step = "" if lag == 0 else ". Next: vian project, or keep vian serve running"
+        yield Finding("row tables", verdict, f"{lag} segments behind the log{next_step}")
+        yield Finding("psql", Verdict.NOTE, _psql(log))
+
+
+def _psql(log: Log) -> str:
+    if log.server is None:
+        return "connect with the address that you gave in --dsn"
+    return f"{log.server.bin_path / 'psql'} '{log.dsn}' (while a vian command runs, such as vian serve)"

@@ -1,0 +1,287 @@
+"""One extraction: a video in, its process's events in the log.
+
+Contract: the process is named by what goes in (source, video, extractor, version, configuration),
+so the same command run again after a kill goes on with the same process and ends with the same
+events; run again after its end it does nothing. What an extractor said before an error stays, and
+`process_failed` says what stopped it.
+"""
+
+import hashlib
+import json
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any, TypeVar
+
+from events import (
+    EventBatch,
+    EventType,
+    ProcessFailed,
+    ProcessFinished,
+    ProcessProgressed,
+    ProcessStarted,
+    Producer,
+    StreamName,
+    TrackPoint,
+    VideoAdded,
+    batch_of,
+    decode,
+    encode,
+    events_of,
+)
+from extractors import motion, video
+from extractors.errors import ExtractorError
+from extractors.media import VideoInfo
+from store import Appender, Log
+from vian.errors import WorldFailed
+
+E = TypeVar("E", bound=EventType)
+
+PROGRESS_EVERY_S = 10.0
+"""Media time between two `process_progressed`, in seconds."""
+
+Stamp = Callable[[datetime], datetime]
+"""From the media's time to the time that a process's event bears."""
+
+
+def wall_clock(_: datetime) -> datetime:
+    """Now: what a process does happens when it does it."""
+    return datetime.now(UTC)
+
+
+def media_clock(media_time: datetime) -> datetime:
+    """The media's time: a replay whose log depends on its input alone."""
+    return media_time
+
+
+@dataclass(frozen=True, slots=True)
+class Extraction:
+    """What an extraction came to."""
+
+    process: str
+    source: str
+    video: VideoAdded
+    frames: int
+    events: int
+    gaps: int
+    was_done: bool
+    """The process had finished in an earlier run; nothing was appended now."""
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """What is to be extracted."""
+
+    log: Log
+    station: str
+    source: str
+    path: Path
+    started_at: datetime | None = None
+    """wall-clock time of the first frame; from the file's metadata or its modification time by default"""
+    config: motion.MotionConfig = field(default_factory=motion.MotionConfig)
+    stamp: Stamp = wall_clock
+    run: int = 1
+    """1 for the first time, more for a repetition of the same extraction as a new process"""
+    database_wait_s: float = 60.0
+    on_progress: Callable[[int, int | None], None] | None = None
+    """told the frames done and expected"""
+    on_note: Callable[[str], None] | None = None
+    """told what people should know"""
+
+    def note(self, text: str) -> None:
+        """Tell people, if anybody listens."""
+        if self.on_note is not None:
+            self.on_note(text)
+
+    def stream(self, event_type: type[EventType]) -> StreamName:
+        """The stream of this source in an event type."""
+        return StreamName.of(self.station, self.source, event_type.type_name)
+
+
+def extract_motion(job: Job) -> Extraction:
+    """Run motion detection and tracking on the job's video, or go on with it.
+
+    Raises:
+        ExtractorError: The video cannot be read, or the extractor stopped; recorded as
+            `process_failed` if the process had started.
+        WorldFailed: The process failed in an earlier run.
+        LogUnavailable: The database stayed away.
+    """
+    info = video.probe(job.path)
+    added = _added(job, info)
+    process = process_name(job, added.video)
+    begun = _find(job, ProcessStarted, process)
+    if begun is None:
+        begun = _start(job, added, process)
+    elif finished := _find(job, ProcessFinished, process):
+        done = finished[0]
+        return Extraction(process, job.source, added, done.frames, done.events, done.gaps, was_done=True)
+    elif failed := _find(job, ProcessFailed, process):
+        raise WorldFailed(
+            f"process {process} on {job.path} failed before, after {failed[0].frames} frames: {failed[0].error}. "
+            f"What it said until then is in the log. Next: mend the video, or repeat it with --again {job.run + 1}"
+        )
+    return _Run(job, info, added, process, started_position=begun[1]).whole()
+
+
+def process_name(job: Job, video_hash: str) -> str:
+    """Name of the process: 16 hexadecimal digits of a hash of what goes into it."""
+    said = [job.source, video_hash, motion.NAME, motion.VERSION, job.config.config_hash.hex(), job.run]
+    return hashlib.sha256(json.dumps(said).encode()).hexdigest()[:16]
+
+
+class _Run:
+    """One process at work, from its beginning or behind what an earlier run stored."""
+
+    def __init__(self, job: Job, info: VideoInfo, added: VideoAdded, process: str, started_position: int) -> None:
+        self._job = job
+        self._info = info
+        self._added = added
+        self._process = process
+        self._at_start = started_position
+        self._appender = Appender(
+            job.log, _producer(job), wait_s=job.database_wait_s, on_wait=lambda error: job.note(f"waiting: {error}")
+        )
+        self._resumed: set[StreamName] = set()
+        self._frames = 0
+        self._time_us = 0
+        self._events = 0
+        self._gaps = 0
+        self._progress_due_s = PROGRESS_EVERY_S
+
+    def whole(self) -> Extraction:
+        """Extract to the end of the video."""
+        first_track_id = 1 + self._head_at_start(self._job.stream(TrackPoint))
+        steps = motion.extract(
+            video.frames(self._job.path),
+            self._job.config,
+            start_time=self._added.started_at,
+            first_track_id=first_track_id,
+        )
+        try:
+            for step in steps:
+                self._store(step)
+        except ExtractorError as error:
+            self._say(ProcessFailed(**self._state(), error=str(error)))
+            raise
+        self._say(ProcessFinished(**self._state(), gaps=self._gaps))
+        return Extraction(
+            self._process, self._job.source, self._added, self._frames, self._events, self._gaps, was_done=False
+        )
+
+    def _store(self, step: motion.Extraction) -> None:
+        """Append what one interval of the media brought, in one transaction."""
+        self._frames, self._time_us = step.frames, step.time_us
+        self._events += sum(len(batch) for batch in step.batches)
+        self._gaps += len(step.gaps)
+        batches = [*step.batches, *self._remarks(step)]
+        self._append(batches)
+        if self._job.on_progress is not None:
+            self._job.on_progress(self._frames, self._info.frames_expected)
+
+    def _remarks(self, step: motion.Extraction) -> list[EventBatch]:
+        """What is to be said of the work itself: gaps, and progress now and then."""
+        notes: list[str | None] = [str(gap) for gap in step.gaps]
+        if step.time_us / 1e6 >= self._progress_due_s:
+            self._progress_due_s = (step.time_us / 1e6 // PROGRESS_EVERY_S + 1) * PROGRESS_EVERY_S
+            notes.append(None)
+        at = self._stamp(step.time_us)
+        said = [
+            ProcessProgressed(time=at, process=self._process, frames=self._frames, events=self._events, note=note)
+            for note in notes
+        ]
+        return [batch_of(said)] if said else []
+
+    def _append(self, batches: list[EventBatch]) -> None:
+        placed = [(self._job.stream(batch.type), batch) for batch in batches if len(batch)]
+        for stream in {stream for stream, _ in placed} - self._resumed:
+            self._appender.resume_at(stream, self._head_at_start(stream))
+            self._resumed.add(stream)
+        self._appender.append(placed)
+
+    def _say(self, event: EventType) -> None:
+        self._append([batch_of([event])])
+
+    def _head_at_start(self, stream: StreamName) -> int:
+        """Where the stream stood when the process started."""
+        return self._job.log.stream_head(stream, at_position=self._at_start).sequence
+
+    def _state(self) -> dict[str, Any]:
+        return {
+            "time": self._stamp(self._time_us),
+            "process": self._process,
+            "frames": self._frames,
+            "events": self._events,
+        }
+
+    def _stamp(self, time_us: int) -> datetime:
+        return self._job.stamp(self._added.started_at + timedelta(microseconds=time_us))
+
+
+def _added(job: Job, info: VideoInfo) -> VideoAdded:
+    """The video as the log knows it; made known now if it was not."""
+    known = _find(job, VideoAdded, info.sha256)
+    if known is not None:
+        return known[0]
+    event = VideoAdded(
+        time=job.stamp(_started_at(job, info)),
+        video=info.sha256,
+        path=str(job.path),
+        width=info.width,
+        height=info.height,
+        fps=info.fps,
+        frames_expected=info.frames_expected,
+        codec=info.codec,
+        started_at=_started_at(job, info),
+    )
+    _append_first(job, event)
+    return event
+
+
+def _started_at(job: Job, info: VideoInfo) -> datetime:
+    """Wall-clock time of the first frame, by the best there is."""
+    if job.started_at is not None:
+        return job.started_at
+    if info.creation_time is not None:
+        return info.creation_time
+    modified = datetime.fromtimestamp(job.path.stat().st_mtime, UTC)
+    job.note(
+        f"the video does not say when it was recorded: taking the file's modification time {modified.isoformat()}. "
+        "Next time: --start TIME"
+    )
+    return modified
+
+
+def _start(job: Job, added: VideoAdded, process: str) -> tuple[ProcessStarted, int]:
+    event = ProcessStarted(
+        time=job.stamp(added.started_at),
+        process=process,
+        extractor=motion.NAME,
+        extractor_version=motion.VERSION,
+        configuration=json.dumps(job.config.model_dump(mode="json"), sort_keys=True),
+        video=added.video,
+    )
+    return event, _append_first(job, event)
+
+
+def _append_first(job: Job, event: EventType) -> int:
+    """Append one event behind the head of its stream; its position."""
+    stream = job.stream(type(event))
+    draft = encode(stream, batch_of([event]), _producer(job))
+    return job.log.append([draft], [job.log.stream_head(stream).sequence])[0].position
+
+
+def _find(job: Job, event_type: type[E], subject: str) -> tuple[E, int] | None:
+    """The newest event of the source about the subject, and its position."""
+    assert event_type.subject_field is not None
+    found = None
+    for segment in job.log.read(job.stream(event_type)):
+        for event in events_of(decode(segment, job.log.catalogue)):
+            if isinstance(event, event_type) and getattr(event, event_type.subject_field) == subject:
+                found = event, segment.position
+    return found
+
+
+def _producer(job: Job) -> Producer:
+    return Producer(motion.NAME, motion.VERSION, job.config.config_hash)

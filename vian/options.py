@@ -1,0 +1,64 @@
+"""Options that many commands share, and how a command opens the log they name."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from store import Log, open_log
+from vian.errors import WrongUsage
+from vian.settings import Settings, load_settings
+
+DataDir = Annotated[
+    Path | None, typer.Option("--data-dir", help="Folder of the embedded log.", show_default="the user's data folder")
+]
+Dsn = Annotated[str | None, typer.Option("--dsn", help="External PostgreSQL instead: postgresql://user@host/database.")]
+Station = Annotated[str | None, typer.Option("--station", help="Name of this station.", show_default="the host's name")]
+Json = Annotated[bool, typer.Option("--json", help="One JSON object a line, for machines.")]
+Since = Annotated[str | None, typer.Option("--since", help="Only events at or after this time (ISO 8601, UTC).")]
+Until = Annotated[str | None, typer.Option("--until", help="Only events before this time (ISO 8601, UTC).")]
+Sources = Annotated[list[str] | None, typer.Option("--source", help="Only this source; may be repeated.")]
+Types = Annotated[list[str] | None, typer.Option("--type", help="Only this event type; may be repeated.")]
+
+
+def settings_for(data_dir: Path | None = None, dsn: str | None = None, **given: object) -> Settings:
+    """The settings with what the command line gave on top.
+
+    Raises:
+        WrongUsage: Both a data directory and an address were given, or a setting is wrong.
+    """
+    if data_dir is not None and dsn is not None:
+        raise WrongUsage("give either --data-dir or --dsn, got both")
+    return load_settings(data_dir=data_dir, dsn=dsn, **given)
+
+
+def open_from(settings: Settings, *, data_dir: Path | None = None) -> Log:
+    """The log that the settings name; a data directory on the command line beats an address in a file."""
+    if settings.dsn is not None and data_dir is None:
+        return open_log(dsn=settings.dsn.get_secret_value())
+    return open_log(data_dir=settings.data_dir)
+
+
+@contextmanager
+def opened(settings: Settings, *, data_dir: Path | None = None) -> Iterator[Log]:
+    """The log of `open_from`, for the length of the block."""
+    with open_from(settings, data_dir=data_dir) as log:
+        yield log
+
+
+def time_of(option: str, text: str | None) -> datetime | None:
+    """The option's text as a time; UTC where it names no zone.
+
+    Raises:
+        WrongUsage: It is not a time.
+    """
+    if text is None:
+        return None
+    try:
+        time = datetime.fromisoformat(text)
+    except ValueError as error:
+        raise WrongUsage(f"{option} must be a time such as 2026-01-31T12:00:00Z, got {text!r}") from error
+    return time.replace(tzinfo=UTC) if time.tzinfo is None else time.astimezone(UTC)

@@ -1,0 +1,112 @@
+"""What a command prints: for people with Rich, or JSON lines for machines.
+
+Contract: results go to standard output; progress, notes and errors to standard error, so that a
+pipe gets results only. With `--json` every result is one JSON object a line.
+"""
+
+import json
+import sys
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from datetime import datetime
+from typing import Any, TextIO
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+_PIPE_COLUMNS = 240
+"""Width of tables where nobody's terminal sets one."""
+
+
+def _console(file: TextIO) -> Console:
+    width = None if file.isatty() else _PIPE_COLUMNS
+    return Console(file=file, soft_wrap=True, highlight=False, width=width)
+
+
+def to_json(value: Any) -> str:
+    """The value as one line of JSON; times in ISO 8601, bytes in hexadecimal."""
+    return json.dumps(value, default=_plain, ensure_ascii=False)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, datetime):
+        return value.isoformat()
+    if isinstance(value, bytes):
+        return value.hex()
+    return str(value)
+
+
+@dataclass(frozen=True, slots=True)
+class Output:
+    """Where and how a command prints."""
+
+    is_json: bool = False
+    out: Console = field(default_factory=lambda: _console(sys.stdout))
+    err: Console = field(default_factory=lambda: _console(sys.stderr))
+
+    @property
+    def stream(self) -> TextIO:
+        """Standard output itself, for formats that are not ours to lay out."""
+        return self.out.file  # type: ignore[return-value]
+
+    def note(self, text: str) -> None:
+        """Tell people something on standard error."""
+        self.err.print(text, markup=False, style="dim")
+
+    def result(self, values: Mapping[str, Any], text: str | None = None) -> None:
+        """Print one result."""
+        if self.is_json:
+            self.line(to_json(values))
+        else:
+            self.line(text if text is not None else "  ".join(f"{name}: {value}" for name, value in values.items()))
+
+    def line(self, text: str) -> None:
+        """Print one line as it is."""
+        self.stream.write(text + "\n")
+        self.stream.flush()
+
+    def table(self, title: str, columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
+        """Print rows: a table for people, an object a line for machines."""
+        if self.is_json:
+            for row in rows:
+                self.line(to_json(dict(zip(columns, row, strict=True))))
+            return
+        table = Table(title=title or None, title_justify="left")
+        for column in columns:
+            table.add_column(column, overflow="fold")
+        for row in rows:
+            table.add_row(*(_cell(value) for value in row))
+        self.out.print(table)
+
+    @contextmanager
+    def progress(self, what: str, total: float | None) -> Iterator["Bar"]:
+        """A progress bar on standard error, shown on a terminal only."""
+        columns = (
+            SpinnerColumn(),
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeRemainingColumn(),
+        )
+        with Progress(*columns, console=self.err, disable=self.is_json or not self.err.is_terminal) as bars:
+            yield Bar(bars, bars.add_task(what, total=total))
+
+
+@dataclass(frozen=True, slots=True)
+class Bar:
+    """One progress bar."""
+
+    bars: Progress
+    task: Any
+
+    def at(self, done: float, total: float | None = None) -> None:
+        """Show that so much is done, of a total that may be known only now."""
+        self.bars.update(self.task, completed=done, total=total)
+
+
+def _cell(value: Any) -> str:
+    if value is None:
+        return ""
+    return value.isoformat() if isinstance(value, datetime) else str(value)

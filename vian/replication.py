@@ -1,0 +1,69 @@
+"""The station's side of replication: plan and daemon from the settings."""
+
+import random
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from pathlib import Path
+
+import httpx
+import structlog
+
+from events import station_name
+from store import Log
+from sync.daemon import Daemon
+from sync.plan import Plan
+from sync.reports import Step
+from vian.errors import WrongUsage
+from vian.parts import Part
+
+logger = structlog.get_logger()
+
+REQUEST_SECONDS_MAX = 30.0
+DEFAULT_PLAN = (
+    {"stream": "*/*/situation_detected", "priority": "situations"},
+    {"stream": "*/*/rule_deployed", "priority": "situations"},
+    {"stream": "*/*/track_ended", "priority": "tracks"},
+    {"stream": "*/*/*", "priority": "points"},
+)
+"""What a station sends that was given no plan: everything, situations first."""
+
+
+def utc_now() -> datetime:
+    """This machine's clock."""
+    return datetime.now(UTC)
+
+
+def load_plan(path: Path | None) -> Plan:
+    """The plan of the file, or the default one."""
+    return Plan.load(path) if path is not None else Plan.of({"entries": list(DEFAULT_PLAN)}, "default plan")
+
+
+@contextmanager
+def station_daemon(
+    log: Log, station: str, central: str, token: str, plan: Plan, now: Callable[[], datetime] = utc_now
+) -> Iterator[Daemon]:
+    """A daemon that sends the station's streams to central, for the length of the block.
+
+    Raises:
+        WrongUsage: The address is not one of HTTP.
+    """
+    if not central.startswith(("http://", "https://")):
+        raise WrongUsage(f"central must be an address such as http://central.example:8470, got {central!r}")
+    with httpx.Client(base_url=central, timeout=REQUEST_SECONDS_MAX) as client:
+        yield Daemon(log, station_name(station), plan, client, token=token, now=now, random=random.random)
+
+
+def sync_part(daemon: Daemon) -> Part:
+    """The daemon as a supervised part; a failure that lasts is logged once."""
+    told: list[str] = []
+
+    def tell(step: Step) -> None:
+        if step.error is not None and told != [str(step.error)]:
+            told[:] = [str(step.error)]
+            logger.warning("sync waits", error=str(step.error))
+        elif step.did == "sent" and told:
+            told.clear()
+            logger.info("sync goes on")
+
+    return Part("sync", lambda stop: daemon.run(stop, tell))

@@ -1,0 +1,79 @@
+"""Rules from files into service."""
+
+from collections.abc import Sequence
+from datetime import datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import structlog
+import yaml
+
+from patterns.loading import load_rules
+from patterns.processor import Processor, deploy
+from patterns.rule import Rule
+from store import Log
+from vian.errors import WrongUsage
+from vian.parts import Part, stepping
+from vian.replication import utc_now
+
+logger = structlog.get_logger()
+
+_STEP_SECONDS = 1.0
+
+
+def load_all(paths: Sequence[Path]) -> list[Rule]:
+    """The rules of files and folders, in order.
+
+    Raises:
+        WrongUsage: There are none, or two of one name.
+        PatternError: A file is not a rule.
+    """
+    rules = [rule for path in paths for rule in load_rules(path)]
+    if not rules:
+        raise WrongUsage(f"no rule files (*.yaml) in {', '.join(map(str, paths))}")
+    names = [rule.rule for rule in rules]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        places = ", ".join(str(rule.path) for rule in rules if rule.rule == twice[0])
+        raise WrongUsage(f"two rules are named {twice[0]}: {places}. Next: rename one")
+    return rules
+
+
+def file_text(rule: Rule) -> str:
+    """The rule as a rule file: the file's own text, or what the rule says where it was changed after loading."""
+    if rule.path is not None:
+        return rule.path.read_text(encoding="utf-8")
+    return yaml.safe_dump(_plain(rule.model_dump(mode="python")), sort_keys=False, allow_unicode=True)
+
+
+def deploy_all(log: Log, station: str, rules: Sequence[Rule]) -> list[Rule]:
+    """Record the rules as deployed now, where they are new; those that were new."""
+    return deploy(log, station, rules, {rule.rule: file_text(rule) for rule in rules}, utc_now())
+
+
+def processor_part(log: Log, station: str, path: Path) -> Part:
+    """The rules of a file or folder, deployed and run as a supervised part."""
+    rules = load_all([path])
+    deploy_all(log, station, rules)
+    processor = Processor(log, station, rules)
+    told: set[str] = set()
+
+    def step() -> None:
+        processor.step(_STEP_SECONDS)
+        for name, failure in processor.failures.items():
+            if name not in told:
+                told.add(name)
+                logger.error("rule set aside", rule=name, error=str(failure))
+
+    return stepping("rules", step, log, processor.close)
+
+
+def _plain(value: Any) -> Any:
+    """The value as YAML has it: durations in seconds with their unit."""
+    if isinstance(value, dict):
+        return {key: _plain(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(each) for each in value]
+    if isinstance(value, timedelta):
+        return f"{value / timedelta(milliseconds=1):g} ms"
+    return value.isoformat() if isinstance(value, datetime) else value

@@ -1,0 +1,96 @@
+"""Settings: from the command line, the environment (`VIAN_...`), `vian.toml`, and defaults, in this order.
+
+Contract: read once, frozen, passed on. A key that is not a setting is refused.
+"""
+
+import os
+import re
+import socket
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any
+
+import platformdirs
+from pydantic import Field, SecretStr, ValidationError
+from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict, TomlConfigSettingsSource
+
+from vian.errors import WrongUsage
+
+CONFIG_NAME = "vian.toml"
+
+
+def config_file() -> Path:
+    """The settings file: `VIAN_CONFIG`, else `vian.toml` here, else the user's own."""
+    if named := os.environ.get("VIAN_CONFIG"):
+        return Path(named)
+    here = Path(CONFIG_NAME)
+    return here if here.exists() else platformdirs.user_config_path("vian") / CONFIG_NAME
+
+
+def _host_name() -> str:
+    cleaned = re.sub(r"[^A-Za-z0-9._-]+", "-", socket.gethostname())[:64].strip("._-")
+    return cleaned or "station"
+
+
+class Settings(BaseSettings):
+    """What an installation can set."""
+
+    model_config = SettingsConfigDict(
+        env_prefix="VIAN_", frozen=True, extra="forbid", use_attribute_docstrings=True, env_ignore_empty=True
+    )
+
+    data_dir: Path = Field(default_factory=lambda: platformdirs.user_data_path("vian"))
+    """folder of the embedded log"""
+    dsn: SecretStr | None = None
+    """address of an external PostgreSQL instead of the embedded one: postgresql://user:password@host/database"""
+    station: str = Field(default_factory=_host_name)
+    """name of this station, the first part of its streams' names; the host's name by default"""
+    data: Path = Path("../shared/data")
+    """folder of sample videos for the demo and the tests"""
+    rules: Path | None = None
+    """folder or file of rules that `vian serve` runs"""
+    host: str = "127.0.0.1"
+    """address that `vian serve` listens on"""
+    port: Annotated[int, Field(ge=0, le=65535)] = 8470
+    """port that `vian serve` listens on; 0 takes a free one"""
+    central: str | None = None
+    """address of the central server that `vian sync` replicates to, such as http://central.example:8470"""
+    token_file: Path | None = None
+    """file with this station's token for the central server"""
+    stations_file: Path | None = None
+    """central server: TOML file with the stations that may replicate, `name = "SHA-256 of its token"`"""
+    plan: Path | None = None
+    """YAML file of the sync plan: which streams, in which order"""
+    database_wait_s: Annotated[float, Field(ge=0)] = 60.0
+    """how long an append waits for a database that is away, in seconds"""
+
+    @classmethod
+    def settings_customise_sources(
+        cls,
+        settings_cls: type[BaseSettings],
+        init_settings: PydanticBaseSettingsSource,
+        env_settings: PydanticBaseSettingsSource,
+        dotenv_settings: PydanticBaseSettingsSource,
+        file_secret_settings: PydanticBaseSettingsSource,
+    ) -> tuple[PydanticBaseSettingsSource, ...]:
+        """Command line before environment before file."""
+        return init_settings, env_settings, TomlConfigSettingsSource(settings_cls, config_file())
+
+
+def load_settings(**given: Any) -> Settings:
+    """The settings, with what the command line gave on top; None means not given.
+
+    Raises:
+        WrongUsage: A setting is unknown or has a bad value.
+    """
+    try:
+        return Settings(**{name: value for name, value in given.items() if value is not None})
+    except ValidationError as error:
+        first = error.errors()[0]
+        name = ".".join(map(str, first["loc"]))
+        raise WrongUsage(
+            f"setting {name}: {first['msg']}, got {first.get('input')!r}. "
+            f"Next: correct it on the command line, in VIAN_{name.upper()} or in {config_file()}"
+        ) from error
+    except (tomllib.TOMLDecodeError, OSError) as error:
+        raise WrongUsage(f"the settings file {config_file()} cannot be read: {error}") from error
