@@ -2,10 +2,10 @@
 
 import os
 
+import psycopg
 import sqlalchemy as sa
 from alembic import context
 
-from store.schema import sqlalchemy_url
 from store.tables import metadata
 
 
@@ -20,5 +20,6 @@ given = context.config.attributes.get("connection")
 if given is not None:
     run(given)
 else:
-    with sa.create_engine(sqlalchemy_url(os.environ["VIAN_DSN"])).begin() as opened:
+    engine = sa.create_engine("postgresql+psycopg://", creator=lambda: psycopg.connect(os.environ["VIAN_DSN"]))
+    with engine.begin() as opened:
         run(opened)

@@ -18,6 +18,7 @@ from store.log import Appended, Log
 
 T = TypeVar("T")
 
+_RETRY_SECONDS_MIN = 0.1
 RETRY_SECONDS_MAX = 5.0
 
 
@@ -53,24 +54,29 @@ class Appender:
     def resume_at(self, stream: StreamName, sequence: int) -> None:
         """The next batch of the stream begins behind `sequence`, though the log may hold more of it."""
         self._heads[stream] = sequence
+        self._stored.pop(stream, None)
 
     def append(self, batches: Sequence[tuple[StreamName, EventBatch]]) -> list[Appended]:
         """Store the batches in one transaction; those that the log holds already are left out.
 
         Raises:
-            LogUnavailable: The database stayed away for `wait_s`.
+            LogUnavailable: The database stayed away for `wait_s`; the same call may be made again.
             SequenceConflict: Somebody else appended to one of the streams.
+            InvalidEvent: A batch cannot be encoded; nothing of the call is stored.
         """
         drafts: list[Draft] = []
         expected: list[int | None] = []
+        heads: dict[StreamName, int] = {}
         for stream, batch in batches:
-            head = self._head(stream)
+            head = heads[stream] if stream in heads else self._head(stream)
             fresh = self._unstored(stream, head, batch)
-            self._heads[stream] = head + len(batch)
+            heads[stream] = head + len(batch)
             if len(fresh):
                 drafts.append(encode(stream, fresh, self._producer))
-                expected.append(head + len(batch) - len(fresh))
-        return self._persistently(lambda: self._log.append(drafts, expected)) if drafts else []
+                expected.append(heads[stream] - len(fresh))
+        appended = self._persistently(lambda: self._log.append(drafts, expected)) if drafts else []
+        self._heads |= heads
+        return appended
 
     def _unstored(self, stream: StreamName, head: int, batch: EventBatch) -> EventBatch:
         """The part of the batch that lies behind what the stream held when this appender began."""
@@ -83,25 +89,22 @@ class Appender:
 
     def _persistently(self, action: Callable[[], list[T]]) -> list[T]:
         deadline = time.monotonic() + self._wait_s
-        pause = 0.1
-        while True:
-            try:
-                return action()
-            except LogUnavailable as error:
-                if time.monotonic() >= deadline:
-                    raise LogUnavailable(
-                        f"{error}; waited {self._wait_s:g} s for it. Nothing acknowledged is lost. "
-                        "Next: vian doctor, then run the same command again: it goes on where the log stands"
-                    ) from error
-                if pause == 0.1 and self._on_wait is not None:
-                    self._on_wait(error)
+        pause = _RETRY_SECONDS_MIN
+        try:
+            return action()
+        except LogUnavailable as error:
+            reason = error
+        if self._on_wait is not None:
+            self._on_wait(reason)
+        while time.monotonic() < deadline:
             self._sleep(pause)
             pause = min(pause * 2, RETRY_SECONDS_MAX)
-            self._revive()
-
-    def _revive(self) -> None:
-        try:
-            self._log.revive()
-        except LogUnavailable as error:
-            if self._on_wait is not None:
-                self._on_wait(error)
+            try:
+                self._log.revive()
+                return action()
+            except LogUnavailable as error:
+                reason = error
+        raise LogUnavailable(
+            f"{reason}; waited {self._wait_s:g} s for it. Nothing acknowledged is lost. "
+            "Next: vian doctor, then run the same command again: it goes on where the log stands"
+        ) from reason

@@ -64,9 +64,12 @@ class EmbeddedServer:
         with _lock(self.data_dir):
             pgdata = self.data_dir / "pg"
             _initialise(pgdata)
-            _forget_the_dead(pgdata)
             server = get_server(pgdata, start=False, postgres_version=MAJOR)
+            # The wheel's own lock file is one for the whole machine, which a second user may not open.
+            server._lock = type(server._lock)(self.data_dir / "pg.users.lock")
             with _explained(f"PostgreSQL does not start in {pgdata}", pgdata):
+                with server._lock:
+                    _forget_the_dead(pgdata)
                 _start(server)
             if self._server is not server:
                 server.__enter__()
@@ -112,20 +115,41 @@ def _initialise(pgdata: Path) -> None:
         shutil.rmtree(abandoned, ignore_errors=True)
     staging = pgdata.with_name(f"{_STAGING}-{os.getpid()}")
     with _explained(f"a new data directory cannot be made in {pgdata.parent}", staging):
-        staging.mkdir(mode=0o700)
-        PostgresServer(staging, postgres_version=MAJOR).ensure_pgdata_inited()
-        if pgdata.exists():
-            pgdata.rmdir()
-        staging.rename(pgdata)
+        try:
+            staging.mkdir(mode=0o700)
+            PostgresServer(staging, postgres_version=MAJOR).ensure_pgdata_inited()
+            if pgdata.exists():
+                pgdata.rmdir()
+            staging.rename(pgdata)
+        except BaseException:
+            shutil.rmtree(staging, ignore_errors=True)  # a full disk needs the room
+            raise
 
 
 def _forget_the_dead(pgdata: Path) -> None:
-    """Drop processes that were killed from the list of users, so that the last one stops the server."""
+    """Drop what killed processes left behind.
+
+    That is their place in the list of users, so that the last one stops the server, and the pid file
+    of a server whose number another process bears now, as is usual when a container starts again.
+    """
+    pid_file = pgdata / "postmaster.pid"
+    if pid_file.exists() and not _is_server(pid_file.read_text().split("\n", 1)[0], pgdata):
+        pid_file.unlink()
     users = DiskList(pgdata / ".handle_pids.json")
     with suppress(ValueError):  # a list torn by a kill is as good as an empty one
         users.put([pid for pid in users._get() if psutil.pid_exists(pid)])
         return
     users.put([])
+
+
+def _is_server(pid: str, pgdata: Path) -> bool:
+    try:
+        process = psutil.Process(int(pid))
+        return process.name() == "postgres" and Path(process.cwd()) == pgdata
+    except psutil.AccessDenied:
+        return True  # another user's: leave it to PostgreSQL, which looks closer
+    except (ValueError, psutil.Error):
+        return False
 
 
 @contextmanager
@@ -138,7 +162,7 @@ def _lock(data_dir: Path) -> Iterator[None]:
             yield
     except OSError as error:
         raise LogUnavailable(
-            f"the data directory {data_dir} cannot be used: {error.strerror}. "
+            f"the data directory {data_dir} cannot be used: {error.strerror or error}. "
             "Next: give a folder that you may write to with --data-dir, or a database with --dsn"
         ) from error
 

@@ -34,7 +34,7 @@ class BadRequest(StoreError):
     """A call asked for what the log does not do."""
 
 
-@dataclass
+@dataclass(eq=False)
 class SequenceConflict(StoreError):
     """A stream does not stand where the writer expected, or holds other bytes there."""
 
@@ -53,7 +53,7 @@ class SequenceConflict(StoreError):
         return f"stream {self.stream} stands at sequence {self.actual}, the append expected {self.expected}"
 
 
-@dataclass
+@dataclass(eq=False)
 class ChainBroken(StoreError):
     """Bytes do not carry the hash that they should."""
 

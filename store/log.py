@@ -22,7 +22,7 @@ from psycopg_pool import ConnectionPool, PoolTimeout
 from events import Catalogue, Draft, EventType, Segment, StreamName, load_catalogue
 from store.embedded import EmbeddedServer
 from store.errors import BadRequest, LogUnavailable
-from store.reading import Filter, read_query, segment_of, stream_query
+from store.reading import Filter, TimeOrNone, read_query, segment_of, stream_query
 from store.schema import migrate, safe_dsn
 from store.writing import APPEND, append_error, append_parameters
 
@@ -30,6 +30,8 @@ T = TypeVar("T")
 
 CONNECTIONS_MAX = 10
 _CONNECT_SECONDS = 15.0
+_PATIENCE_SECONDS = 1.0
+"""How long to wait for the pool before asking the database itself whether it is there."""
 READ_SEGMENTS = 500
 """Segments fetched from the database at a time."""
 
@@ -66,7 +68,8 @@ class Checkpoint:
 class Transaction:
     """One database transaction over the log: output and checkpoint commit together.
 
-    Append last: from the first append to the commit every other writer waits.
+    Append once, and last: from the append to the commit every other writer waits, and two appends in
+    one transaction may wait in a circle with another writer (one of the two is then LogUnavailable).
     """
 
     def __init__(self, connection: psycopg.Connection[Any], epoch: int) -> None:
@@ -123,10 +126,15 @@ class Transaction:
 
     def checkpoint(self, name: str) -> Checkpoint:
         """The subscriber's checkpoint, locked until the transaction ends; position 0 where there is none."""
+        # A row that is not there cannot be locked, and two first subscribers would both begin at 0.
+        self.connection.execute(
+            "insert into checkpoints (name, position, state) values (%s, 0, '') on conflict do nothing", (name,)
+        )
         row = self.connection.execute(
             "select position, state from checkpoints where name = %s for update", (name,)
         ).fetchone()
-        return Checkpoint(row[0], row[1]) if row else Checkpoint(0, b"")
+        assert row is not None, "the row was inserted above"
+        return Checkpoint(*row)
 
 
 class Log:
@@ -144,13 +152,16 @@ class Log:
             min_size=0,
             max_size=CONNECTIONS_MAX,
             timeout=_CONNECT_SECONDS,
-            reconnect_timeout=_CONNECT_SECONDS,
+            reconnect_timeout=0,  # who needs a connection asks again, and is told why there is none
             configure=self._configure,
-            check=ConnectionPool.check_connection,
             open=False,
         )
         self._pool.open()
-        self.epoch: int = self._value("select epoch from log_head")
+        try:
+            self.epoch: int = self._value("select epoch from log_head")
+        except BaseException:
+            self._pool.close()
+            raise
 
     def close(self) -> None:
         """Give the connections back, and stop an embedded server that nobody else uses."""
@@ -183,12 +194,18 @@ class Log:
             LogUnavailable: The database is away or went away.
         """
         try:
-            with self._pool.connection() as connection:
-                yield connection
+            connection = self._take()
+            try:
+                with connection:
+                    yield connection
+            finally:
+                self._pool.putconn(connection)
         except PoolTimeout as error:
-            raise LogUnavailable(f"no connection to {safe_dsn(self.dsn)} in {_CONNECT_SECONDS:g} s") from error
+            raise LogUnavailable(
+                f"all {CONNECTIONS_MAX} connections to {safe_dsn(self.dsn)} were busy for {_CONNECT_SECONDS:g} s"
+            ) from error
         except psycopg.OperationalError as error:
-            raise LogUnavailable(f"the database at {safe_dsn(self.dsn)} went away: {error}".strip()) from error
+            raise LogUnavailable(f"the database at {safe_dsn(self.dsn)} is away: {error}".strip()) from error
 
     def revive(self) -> None:
         """Start an embedded server again that died; do nothing for an external one.
@@ -218,14 +235,17 @@ class Log:
             stream: The stream; one that does not exist has no segments.
             from_sequence: The first event wanted; the first segment may begin before it.
             epoch: Which life of the stream; its newest by default.
+
+        Raises:
+            ChainBroken: A stored segment is one that no log can hold; `vian verify` tells more.
         """
         at = from_sequence
         while True:
-            segments = [segment_of(row) for row in self._rows(*stream_query(stream, epoch, at, READ_SEGMENTS))]
+            segments = self._segments(*stream_query(stream, epoch, at, READ_SEGMENTS))
             yield from segments
             if len(segments) < READ_SEGMENTS:
                 return
-            at = segments[-1].header.last_sequence + 1
+            at, epoch = segments[-1].header.last_sequence + 1, segments[-1].header.epoch
 
     def read_all(
         self,
@@ -248,6 +268,9 @@ class Log:
             since: Only segments with an event at or after this time.
             until: Only segments with an event before this time.
             to_position: The last position wanted; the log's head at the time of the call by default.
+
+        Raises:
+            ChainBroken: A stored segment is one that no log can hold; `vian verify` tells more.
         """
         end = to_position if to_position is not None else self.head()
         chosen = Filter(types, sources, stations, since, until)
@@ -261,8 +284,7 @@ class Log:
 
     def page(self, from_position: int, to_position: int, chosen: Filter, limit: int) -> list[Segment]:
         """At most `limit` segments between two positions, both inclusive, that the filter lets through."""
-        query, parameters = read_query(from_position, to_position, chosen, limit)
-        return [segment_of(row) for row in self._rows(query, parameters)]
+        return self._segments(*read_query(from_position, to_position, chosen, limit))
 
     def head(self) -> int:
         """Position of the newest segment; 0 for an empty log."""
@@ -270,11 +292,16 @@ class Log:
 
     def streams(self) -> list[StreamHead]:
         """The heads of all streams, by name."""
+        return self.heads()[1]
+
+    def heads(self) -> tuple[int, list[StreamHead]]:
+        """The log's head and those of all streams by name, as they stood at one moment."""
         rows = self._rows(
-            "select station, source, type, epoch, sequence, chain_hash from streams "
-            "order by station, source, type, epoch"
+            "select h.position, s.station, s.source, s.type, s.epoch, s.sequence, s.chain_hash "
+            "from log_head h left join streams s on true order by s.station, s.source, s.type, s.epoch"
         )
-        return [StreamHead(StreamName.of(*row[:3]), *row[3:]) for row in rows]
+        heads = [StreamHead(StreamName(*row[1:4]), *row[4:]) for row in rows if row[1] is not None]
+        return rows[0][0], heads
 
     def stream_head(
         self, stream: StreamName, *, epoch: int | None = None, at_position: int | None = None
@@ -314,6 +341,51 @@ class Log:
         except LogUnavailable:
             self.revive()
             return action()
+
+    def _take(self) -> psycopg.Connection[Any]:
+        """A connection of the pool that answers; those that died with the server are thrown away."""
+        while True:
+            try:
+                connection = self._pool.getconn(timeout=_PATIENCE_SECONDS)
+            except PoolTimeout:
+                self._knock()
+                connection = self._pool.getconn()
+            try:
+                ConnectionPool.check_connection(connection)
+            except psycopg.OperationalError:
+                self._pool.putconn(connection)
+            else:
+                return connection
+
+    def _knock(self) -> None:
+        """Ask the database itself why there is no connection: return if it is there.
+
+        Raises:
+            OperationalError: The database is away; the pool would keep its reason to itself.
+            LogUnavailable: The role may not write.
+        """
+        with psycopg.connect(self.dsn, connect_timeout=int(_CONNECT_SECONDS)) as connection:
+            try:
+                self._configure(connection)
+            except psycopg.errors.InsufficientPrivilege as error:
+                raise LogUnavailable(
+                    f"{safe_dsn(self.dsn)}: {error}. Next: as the database's owner, grant {self._role} to this role"
+                ) from error
+
+    def _segments(self, query: str, parameters: Mapping[str, Any]) -> list[Segment]:
+        """The segments that a query of `store.reading` finds.
+
+        Raises:
+            ChainBroken: One of them is none that a log can hold.
+        """
+        with self.connection() as connection:
+            try:
+                rows = connection.execute(query, parameters, binary=True).fetchall()
+            except psycopg.DataError:
+                cursor = connection.cursor(binary=True)
+                cursor.adapters.register_loader("timestamptz", TimeOrNone)
+                rows = cursor.execute(query, parameters).fetchall()
+        return [segment_of(row) for row in rows]
 
     def _value(self, query: str) -> Any:
         return self._rows(query)[0][0]

@@ -8,8 +8,13 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
-from events import Header, Position, Producer, Segment, StreamName
+from psycopg import DataError
+from psycopg.abc import Buffer
+from psycopg.types.datetime import TimestamptzBinaryLoader
+
+from events import EventError, Header, Position, Producer, Segment, StreamName
 from events import Sequence as SequenceNumber
+from store.errors import BadRequest, ChainBroken
 
 _COLUMNS = (
     "s.station, s.source, s.type, s.epoch, g.first_sequence, g.event_count, g.schema_version, g.time_min, g.time_max, "
@@ -19,15 +24,35 @@ _COLUMNS = (
 _FROM = f"select {_COLUMNS} from segments g join streams s on s.id = g.stream_id where "
 
 
+class TimeOrNone(TimestamptzBinaryLoader):
+    """Loads a time, or None for one outside the years 1 to 9999, which Python cannot hold."""
+
+    def load(self, data: Buffer) -> datetime | None:  # type: ignore[override]
+        """The time that the bytes hold, or None."""
+        try:
+            return super().load(data)
+        except DataError:
+            return None
+
+
 @dataclass(frozen=True, slots=True)
 class Filter:
-    """Which segments are wanted; None lets all through."""
+    """Which segments are wanted; None lets all through.
+
+    Raises:
+        BadRequest: A time is naive.
+    """
 
     types: Sequence[str] | None = None
     sources: Sequence[str] | None = None
     stations: Sequence[str] | None = None
     since: datetime | None = None
     until: datetime | None = None
+
+    def __post_init__(self) -> None:
+        for name, time in (("since", self.since), ("until", self.until)):
+            if time is not None and time.tzinfo is None:
+                raise BadRequest(f"{name} must be aware of its time zone, got {time.isoformat()}")
 
 
 def read_query(from_position: int, to_position: int, chosen: Filter, limit: int) -> tuple[str, dict[str, Any]]:
@@ -48,13 +73,15 @@ def read_query(from_position: int, to_position: int, chosen: Filter, limit: int)
 
 def stream_query(stream: StreamName, epoch: int | None, from_sequence: int, limit: int) -> tuple[str, dict[str, Any]]:
     """The query for a page of one stream, in order of sequence, and its parameters."""
+    wanted = (
+        "(select id from streams where station = %(station)s and source = %(source)s and type = %(type)s "
+        "and (%(epoch)s::int is null or epoch = %(epoch)s) order by epoch desc limit 1)"
+    )
+    # Both sub-queries stand alone, so that they are evaluated once and bound the index scan.
     query = (
-        f"{_FROM}g.stream_id = (select id from streams where station = %(station)s and source = %(source)s "
-        "and type = %(type)s and (%(epoch)s::int is null or epoch = %(epoch)s) order by epoch desc limit 1) "
-        "and g.first_sequence + g.event_count > %(from)s "
-        "and g.first_sequence >= coalesce((select max(first_sequence) from segments h "
-        "where h.stream_id = g.stream_id and h.first_sequence <= %(from)s), 0) "
-        "order by g.first_sequence limit %(limit)s"
+        f"{_FROM}g.stream_id = {wanted} and g.first_sequence + g.event_count > %(from)s "
+        f"and g.first_sequence >= coalesce((select max(h.first_sequence) from segments h where h.stream_id = {wanted} "
+        "and h.first_sequence <= %(from)s), 0) order by g.first_sequence limit %(limit)s"
     )
     return query, {
         "station": stream.station,
@@ -67,28 +94,21 @@ def stream_query(stream: StreamName, epoch: int | None, from_sequence: int, limi
 
 
 def segment_of(row: Sequence[Any]) -> Segment:
-    """The segment that a row of these queries holds."""
+    """The segment that a row of these queries holds.
+
+    Raises:
+        ChainBroken: The row's header is one that no log can hold.
+    """
     station, source, type_, epoch, first, count, version, time_min, time_max, *rest = row
-    (
-        producer,
-        producer_version,
-        configuration_hash,
-        payload,
-        payload_hash,
-        chain_hash,
-        position,
-        recorded_at,
-    ) = rest
-    header = Header(
-        StreamName(station, source, type_),
-        epoch,
-        SequenceNumber(first),
-        count,
-        version,
-        time_min,
-        time_max,
-        Producer(producer, producer_version, configuration_hash),
-    )
+    producer, producer_version, configuration_hash, payload, payload_hash, chain_hash, position, recorded_at = rest
+    stream = StreamName(station, source, type_)
+    if None in (time_min, time_max, recorded_at):
+        raise ChainBroken(stream, position, first, "a time of its row lies outside the years 1 to 9999")
+    try:
+        said_by = Producer(producer, producer_version, configuration_hash)
+        header = Header(stream, epoch, SequenceNumber(first), count, version, time_min, time_max, said_by)
+    except EventError as error:
+        raise ChainBroken(stream, position, first, f"its header does not hold: {error}") from error
     return Segment(header, payload, payload_hash, chain_hash, Position(position), recorded_at)
 
 

@@ -6,6 +6,7 @@ Contract: `migrate` runs as the database's owner, is idempotent, and one process
 
 from collections.abc import Iterable
 from importlib.resources import files
+from typing import Any
 
 import psycopg
 import sqlalchemy as sa
@@ -14,24 +15,31 @@ from alembic.config import Config
 from alembic.runtime.migration import MigrationContext
 from alembic.script import ScriptDirectory
 from alembic.util.exc import CommandError
+from psycopg.conninfo import conninfo_to_dict
 
 from events import EventType
-from store.errors import LogUnavailable, SchemaMismatch
+from store.errors import BadRequest, LogUnavailable, SchemaMismatch
 from store.tables import events_view, projection_table
 
+MAJOR_MIN = 15
+"""Oldest major version of PostgreSQL that the migrations and the append function run on."""
 _LOCK_KEY = 0x5669_416E  # "ViAn"
+_CONNECT_SECONDS = 15
 
 
 def migrate(dsn: str, catalogue: Iterable[type[EventType]], revision: str = "head") -> None:
     """Bring the database to `revision`, and give every type of the catalogue its row table.
 
     Raises:
+        BadRequest: The address is none.
         LogUnavailable: The database cannot be reached, or the role may not create tables.
-        SchemaMismatch: The database was migrated by a newer ViAn.
+        SchemaMismatch: The database was migrated by a newer ViAn, is not ours, or is of a PostgreSQL
+            that is too old.
     """
-    engine = sa.create_engine(sqlalchemy_url(dsn), poolclass=sa.NullPool)
+    engine = _engine(dsn)
     try:
         with engine.begin() as connection:
+            _check_version(connection)
             connection.execute(sa.text("select pg_advisory_xact_lock(:key)"), {"key": _LOCK_KEY})
             _upgrade(connection, revision)
             if revision == "head":
@@ -39,11 +47,14 @@ def migrate(dsn: str, catalogue: Iterable[type[EventType]], revision: str = "hea
     except sa.exc.OperationalError as error:
         raise LogUnavailable(f"no database at {safe_dsn(dsn)}: {_first_line(error)}. Next: vian doctor") from error
     except sa.exc.ProgrammingError as error:
-        if not isinstance(error.orig, psycopg.errors.InsufficientPrivilege):
-            raise
-        raise LogUnavailable(
+        if isinstance(error.orig, psycopg.errors.InsufficientPrivilege):
+            raise LogUnavailable(
+                f"the schema cannot be created at {safe_dsn(dsn)}: {_first_line(error)}. "
+                "Next: connect once as a role that may create tables and roles"
+            ) from error
+        raise SchemaMismatch(
             f"the schema cannot be created at {safe_dsn(dsn)}: {_first_line(error)}. "
-            "Next: connect once as a role that may create tables and roles"
+            "Next: give ViAn a database of its own"
         ) from error
     finally:
         engine.dispose()
@@ -56,19 +67,53 @@ def configuration() -> Config:
     return config
 
 
-def sqlalchemy_url(dsn: str) -> str:
-    """The address as SQLAlchemy spells it, with psycopg 3 as the driver."""
-    scheme, _, rest = dsn.partition("://")
-    return f"postgresql+psycopg://{rest}" if scheme in ("postgresql", "postgres") else dsn
-
-
 def safe_dsn(dsn: str) -> str:
-    """The address without its password, fit for a message.
+    """The address without its passwords, fit for a message.
 
     >>> safe_dsn("postgresql://u:secret@h/db")
     'postgresql://u:***@h/db'
+    >>> safe_dsn("host=h user=u password=secret dbname=db")
+    'postgresql://u:***@h/db'
+
+    Raises:
+        BadRequest: It is no address.
     """
-    return sa.make_url(sqlalchemy_url(dsn)).set(drivername="postgresql").render_as_string(hide_password=True)
+    known = {name: str(value) for name, value in _parameters(dsn).items() if name != "sslpassword"}
+    user, password, database = (known.pop(name, None) for name in ("user", "password", "dbname"))
+    is_one_host = not set(known.get("host", "/")) & set("/,")
+    host, port = (known.pop(name, None) if is_one_host else None for name in ("host", "port"))
+    url = sa.URL.create("postgresql", user, password, host, int(port) if port else None, database, known)
+    return url.render_as_string(hide_password=True)
+
+
+def _engine(dsn: str) -> sa.Engine:
+    """An engine for any address that libpq understands, written as a URL or in words."""
+    parameters: dict[str, Any] = {"connect_timeout": _CONNECT_SECONDS, **_parameters(dsn)}
+    return sa.create_engine(
+        "postgresql+psycopg://", creator=lambda: psycopg.connect(**parameters), poolclass=sa.NullPool
+    )
+
+
+def _parameters(dsn: str) -> dict[str, Any]:
+    try:
+        return conninfo_to_dict(dsn)
+    except psycopg.ProgrammingError:
+        # libpq quotes what it was given, with the password in it.
+        raise BadRequest(
+            "the database's address cannot be read, wanted postgresql://user@host:port/database or "
+            "host=... dbname=... user=..."
+        ) from None
+
+
+def _check_version(connection: sa.Connection) -> None:
+    number, text = connection.execute(
+        sa.text("select current_setting('server_version_num')::int, current_setting('server_version')")
+    ).one()
+    if number < MAJOR_MIN * 10_000:
+        raise SchemaMismatch(
+            f"PostgreSQL {MAJOR_MIN} or newer is wanted, got {text}. Next: upgrade it, "
+            "or give --data-dir for a PostgreSQL of ViAn's own"
+        )
 
 
 def _upgrade(connection: sa.Connection, revision: str) -> None:
@@ -89,15 +134,20 @@ def _upgrade(connection: sa.Connection, revision: str) -> None:
 
 
 def _create_plugged(connection: sa.Connection, catalogue: Iterable[type[EventType]]) -> None:
-    existing = set(sa.inspect(connection).get_table_names())
-    types = {event_type.type_name: event_type for event_type in catalogue}
-    missing = [event_type for name, event_type in types.items() if name not in existing]
+    adopted = set(connection.scalars(sa.text("select name from projections")))
+    missing = [event_type for event_type in catalogue if event_type.type_name not in adopted]
     for event_type in missing:
         table = projection_table(event_type, sa.MetaData())
+        if sa.inspect(connection).has_table(table.name):
+            raise SchemaMismatch(
+                f"event type {table.name} needs a table of its name, and the database has another one. "
+                "Next: rename the type, or give ViAn a database of its own"
+            )
         table.create(connection)
         connection.execute(sa.text("select adopt_projection(:name)"), {"name": table.name})
     if missing:
-        connection.execute(sa.text(events_view(types)))
+        # Types that are not installed any more keep their rows.
+        connection.execute(sa.text(events_view([*adopted, *(event_type.type_name for event_type in missing)])))
 
 
 def _first_line(error: sa.exc.DBAPIError) -> str:

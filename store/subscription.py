@@ -23,6 +23,7 @@ CHANNEL = "vian_log"
 POLL_SECONDS = 1.0
 """Longest wait between two looks at the log, were a notification lost."""
 DELIVERY_SEGMENTS = 200
+_CONNECT_SECONDS = 15
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +100,7 @@ class Subscription:
         try:
             if self._listening is None or self._listening.closed:
                 # A look follows before the next wait, so nothing between look and LISTEN is missed for long.
-                self._listening = psycopg.connect(self._log.dsn, autocommit=True)
+                self._listening = psycopg.connect(self._log.dsn, autocommit=True, connect_timeout=_CONNECT_SECONDS)
                 self._listening.execute(f"listen {CHANNEL}")
                 return
             for _ in self._listening.notifies(timeout=seconds, stop_after=1):

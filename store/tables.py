@@ -151,7 +151,8 @@ def events_view(type_names: Iterable[str]) -> str:
     """The SQL of the view `events`: the envelope of every row table."""
     selects = [
         f"select station || '/' || source || '/{name}/' || sequence as id, station, source, "
-        f"cast('{name}' as text) as type, subject, time, sequence, position, recorded_at from {name}"
+        f"cast('{name}' as text) as type, subject, time, sequence, position, "
+        f'recorded_at from "{name}"'
         for name in sorted(type_names)
     ]
     return "create or replace view events as\n" + "\nunion all\n".join(selects)

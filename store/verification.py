@@ -2,16 +2,19 @@
 
 Contract: `verify` reads; it changes nothing. It finds a changed payload, a changed header, a
 missing, doubled or reordered segment, and a head that does not belong to its stream, and names the
-first bad position of each stream. It needs no knowledge of event types.
+first bad position of each stream. It needs no knowledge of event types. `position` and `recorded_at`
+are local to a log and not hashed: that two streams' segments changed places is not found.
 """
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 from events import GENESIS, Segment, StreamName, chain
 from store.errors import ChainBroken
 from store.log import Log, StreamHead
+
+_UNKNOWN = StreamName.of("unknown", "unknown", "unknown")
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,7 +27,7 @@ class Verification:
     position: int
     """The log was verified up to here."""
     broken: list[ChainBroken]
-    """The first break of each broken stream, and breaks in the order of positions; empty when all is well."""
+    """The first break of each broken stream, in the order of positions; empty when all is well."""
 
     @property
     def is_sound(self) -> bool:
@@ -36,7 +39,7 @@ class Verification:
 class _Stream:
     sequence: int = 0
     chain_hash: bytes = GENESIS
-    is_broken: bool = False
+    position: int = 0
 
 
 @dataclass(slots=True)
@@ -45,7 +48,11 @@ class _Progress:
     events: int = 0
     position: int = 0
     streams: dict[tuple[StreamName, int], _Stream] = field(default_factory=dict)
-    broken: list[ChainBroken] = field(default_factory=list)
+    holes: dict[int, int] = field(default_factory=dict)
+    """First and last position of each range that is missing."""
+    missed: set[int] = field(default_factory=set)
+    """The holes that a stream misses."""
+    broken: dict[StreamName, ChainBroken] = field(default_factory=dict)
 
 
 def verify(log: Log, on_segment: Callable[[Segment], None] | None = None) -> Verification:
@@ -55,64 +62,105 @@ def verify(log: Log, on_segment: Callable[[Segment], None] | None = None) -> Ver
         log: The log.
         on_segment: Called after each segment, to show progress.
     """
-    heads = log.streams()
-    end = log.head()
+    end, heads = log.heads()
     progress = _Progress()
-    for segment in log.read_all(to_position=end):
-        _check(segment, progress)
+    for found in _read(log, 1, end):
+        if isinstance(found, ChainBroken):
+            _go_to(found.position or 0, progress)
+            progress.broken.setdefault(found.stream, found)
+            continue
+        _go_to(found.position, progress)
+        _check(found, progress)
         if on_segment is not None:
-            on_segment(segment)
-    if progress.position < end:
-        progress.broken.append(_hole(None, progress.position + 1, end))
+            on_segment(found)
+    _go_to(end + 1, progress)
     for head in heads:
         _check_head(head, progress)
-    return Verification(progress.segments, progress.events, len(progress.streams), end, progress.broken)
+    unclaimed = [_hole(first, last) for first, last in progress.holes.items() if first not in progress.missed]
+    broken = sorted([*progress.broken.values(), *unclaimed], key=lambda fault: fault.position or end + 1)
+    return Verification(progress.segments, progress.events, len(progress.streams), end, broken)
+
+
+def _read(log: Log, first: int, last: int) -> Iterator[Segment | ChainBroken]:
+    """The segments between two positions, and in the place of each that cannot be read what is wrong with it."""
+    while first <= last:
+        try:
+            for segment in log.read_all(first, to_position=last):
+                yield segment
+                first = segment.position + 1
+            return
+        except ChainBroken as broken:
+            unreadable = broken
+        assert unreadable.position is not None, "what was read has a position"
+        yield from _read(log, first, unreadable.position - 1)
+        yield unreadable
+        first = unreadable.position + 1
+
+
+def _go_to(position: int, progress: _Progress) -> None:
+    if position > progress.position + 1:
+        progress.holes[progress.position + 1] = position - 1
+    progress.position = position
 
 
 def _check(segment: Segment, progress: _Progress) -> None:
     header = segment.header
     stream = progress.streams.setdefault((header.stream, header.epoch), _Stream())
-    if segment.position != progress.position + 1:
-        progress.broken.append(_hole(segment, progress.position + 1, segment.position - 1))
-    fault = None if stream.is_broken else _fault(segment, stream)
-    if fault is not None:
-        stream.is_broken = True
-        progress.broken.append(ChainBroken(header.stream, segment.position, header.first_sequence, fault))
-    stream.sequence, stream.chain_hash = header.last_sequence, segment.chain_hash
-    progress.position = segment.position
+    if header.stream not in progress.broken:
+        fault = _fault(segment, stream, progress)
+        if fault is not None:
+            progress.broken[header.stream] = fault
+    stream.sequence, stream.chain_hash, stream.position = header.last_sequence, segment.chain_hash, segment.position
     progress.segments += 1
     progress.events += header.event_count
 
 
-def _fault(segment: Segment, stream: _Stream) -> str | None:
+def _fault(segment: Segment, stream: _Stream, progress: _Progress) -> ChainBroken | None:
     """What is wrong with a segment that follows the stream's state; None when nothing is."""
     header = segment.header
     payload_hash = hashlib.sha256(segment.payload).digest()
-    if payload_hash != segment.payload_hash:
-        return f"the payload's hash is {payload_hash.hex()}, recorded was {segment.payload_hash.hex()}"
-    if header.first_sequence != stream.sequence + 1:
-        return f"it follows sequence {stream.sequence}, so it must begin at {stream.sequence + 1}"
     chain_hash = chain(stream.chain_hash, header, segment.payload_hash)
-    if chain_hash != segment.chain_hash:
-        return f"the chain hash is {chain_hash.hex()}, recorded was {segment.chain_hash.hex()}; its header was changed"
-    return None
+    if payload_hash != segment.payload_hash:
+        reason = f"the payload's hash is {payload_hash.hex()}, recorded was {segment.payload_hash.hex()}"
+    elif header.first_sequence > stream.sequence + 1:
+        return _missing(header.stream, stream, header.first_sequence - 1, segment.position, progress)
+    elif header.first_sequence != stream.sequence + 1:
+        reason = f"it follows sequence {stream.sequence}, so it must begin at {stream.sequence + 1}"
+    elif chain_hash != segment.chain_hash:
+        reason = (
+            f"the chain hash is {chain_hash.hex()}, recorded was {segment.chain_hash.hex()}; its header was changed"
+        )
+    else:
+        return None
+    return ChainBroken(header.stream, segment.position, header.first_sequence, reason)
 
 
 def _check_head(head: StreamHead, progress: _Progress) -> None:
-    seen = progress.streams.get((head.stream, head.epoch), _Stream())
-    if seen.is_broken:
+    if head.stream in progress.broken:
         return
+    seen = progress.streams.get((head.stream, head.epoch), _Stream())
     if seen.sequence < head.sequence:
-        reason = f"the stream's head says {head.sequence} events, only {seen.sequence} are stored"
-    elif seen.sequence == head.sequence and seen.chain_hash != head.chain_hash:
+        fault = _missing(head.stream, seen, head.sequence, None, progress)
+    elif seen.sequence > head.sequence:
+        reason = f"the stream's head says {head.sequence} events, {seen.sequence} are stored"
+        fault = ChainBroken(head.stream, seen.position, head.sequence + 1, reason)
+    elif seen.chain_hash != head.chain_hash:
         reason = f"the stream's head has the chain hash {head.chain_hash.hex()}, its newest segment another"
+        fault = ChainBroken(head.stream, seen.position or None, seen.sequence + 1, reason)
     else:
         return
-    progress.broken.append(ChainBroken(head.stream, None, seen.sequence + 1, reason))
+    progress.broken[head.stream] = fault
 
 
-def _hole(segment: Segment | None, first: int, last: int) -> ChainBroken:
-    reason = f"positions {first} to {last} are missing" if last >= first else f"position {last + 1} stands twice"
-    if segment is None:
-        return ChainBroken(StreamName.of("log", "log", "log"), last, 0, reason)
-    return ChainBroken(segment.stream, segment.position, segment.header.first_sequence, reason)
+def _missing(
+    name: StreamName, stream: _Stream, last_sequence: int, position: int | None, progress: _Progress
+) -> ChainBroken:
+    """Events that a stream lacks behind its state, at the first position where they may have been."""
+    holes = [first for first in progress.holes if first > stream.position]
+    progress.missed.update(holes)
+    reason = f"sequences {stream.sequence + 1} to {last_sequence} are missing"
+    return ChainBroken(name, holes[0] if holes else position, stream.sequence + 1, reason)
+
+
+def _hole(first: int, last: int) -> ChainBroken:
+    return ChainBroken(_UNKNOWN, first, 0, f"positions {first} to {last} are missing, and no stream misses them")

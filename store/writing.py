@@ -51,7 +51,8 @@ def append_error(error: psycopg.Error, drafts: Sequence[Draft], expected: Sequen
     refusal = error.sqlstate
     if refusal not in ("VA001", "VA002", "VA003"):
         if isinstance(error, psycopg.OperationalError):
-            return LogUnavailable(f"the database went away during an append: {error}".strip())
+            # Gone, full, or shutting down: what was sent can be sent again.
+            return LogUnavailable(f"the database could not take an append: {error}".strip())
         return StoreError(f"the append failed: {error}".strip())
     detail = json.loads(error.diag.message_detail or "{}")
     stream = drafts[detail["index"]].stream

@@ -29,7 +29,6 @@ create function append_segments(
 language plpgsql security definer set search_path from current as $$
 declare
   n          constant integer := cardinality(p_station);
-  now_at     constant timestamptz := clock_timestamp();
   ids        bigint[] := array_fill(null::bigint, array[n]);
   firsts     bigint[] := array_fill(null::bigint, array[n]);
   chains     bytea[]  := array_fill(null::bytea, array[n]);
@@ -38,6 +37,7 @@ declare
   head       streams;
   twin       segments;
   last_position bigint;
+  now_at     timestamptz;
 begin
   insert into streams (station, epoch, source, type)
     select distinct s, e, o, t from unnest(p_station, p_epoch, p_source, p_type) as u(s, e, o, t)
@@ -86,6 +86,7 @@ begin
 
   if new_count > 0 then
     update log_head set position = position + new_count returning position into last_position;
+    now_at := clock_timestamp(); -- under the lock, so that it follows the order of positions
     insert into segments (position, stream_id, first_sequence, event_count, schema_version, time_min, time_max,
         recorded_at, producer, producer_version, configuration_hash, payload, payload_hash, chain_hash)
       select last_position - new_count + row_number() over (order by i), ids[i], firsts[i], p_event_count[i],

@@ -127,6 +127,8 @@ def upgrade() -> None:
     )
     # Payloads are compressed already: keep PostgreSQL from trying again.
     op.execute("alter table segments alter column payload set storage external")
+    # Functions keep this path; temporary tables last, lest a writer's own stand in for the log's.
+    op.execute("select set_config('search_path', current_setting('search_path') || ', pg_temp', true)")
     for name in _FUNCTIONS:
         op.execute(_sql(name))
     for change in ("update or delete", "truncate"):

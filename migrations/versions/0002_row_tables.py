@@ -219,9 +219,11 @@ def upgrade() -> None:
 
 def downgrade() -> None:
     op.execute("drop view events")
-    for name in _TYPES:
-        op.execute(f"delete from projections where name = '{name}'")
-        op.drop_table(name)
+    # Those of plug-ins too: row tables are rebuilt from the log.
+    op.execute(
+        "do $$ declare r record; begin for r in delete from projections returning name loop "
+        "execute format('drop table %I', r.name); end loop; end $$"
+    )
 
 
 def _row_table(name: str, comment: str, *payload: sa.Column[object]) -> None:
