@@ -1,0 +1,309 @@
+"""The online processor over a real log: exactly once, in any split, whatever fails when."""
+
+import json
+import logging
+from collections.abc import Iterator
+from datetime import UTC, datetime, timedelta
+from typing import Any
+
+import pytest
+
+from events import (
+    EventType,
+    ProcessFinished,
+    Producer,
+    SituationDetected,
+    StreamName,
+    TrackPoint,
+    VideoAdded,
+    batch_of,
+    decode,
+    encode,
+    events_of,
+)
+from patterns.errors import PatternError
+from patterns.loading import parse_rule
+from patterns.processor import Processor, checkpoint_name, deploy, schemas
+from patterns.rule import Rule
+from store import Log, LogUnavailable, Transaction
+from tests.conftest import MakeLog
+
+T0 = datetime(2026, 1, 1, 10, tzinfo=UTC)
+STATION = "brno"
+PRODUCER = Producer("motion", "1", bytes(32))
+
+
+def rule(name: str = "enters", *, version: int = 1, source: str = "gate", **changed: str) -> Rule:
+    parts = {
+        "partition": "source, track_id",
+        "measures": "inside.time AS entered_at, inside.x AS x",
+        "pattern": "(outside inside)",
+        "skip": "SKIP PAST LAST ROW",
+        "time": "{lateness: 1 s}",
+    } | changed
+    return parse_rule(f"""
+rule: {name}
+version: {version}
+title: "track {{track_id}} came in"
+severity: warning
+zones: {{yard: {{source: {source}, polygon: [[0.5, 0], [1, 0], [1, 1], [0.5, 1]]}}}}
+time: {parts["time"]}
+match: |
+  SELECT * FROM track_point MATCH_RECOGNIZE (
+    PARTITION BY {parts["partition"]} ORDER BY time, sequence
+    MEASURES {parts["measures"]}
+    ONE ROW PER MATCH AFTER MATCH {parts["skip"]}
+    PATTERN {parts["pattern"]}
+    DEFINE outside AS NOT in_zone(outside.x, outside.y, 'yard'), inside AS in_zone(inside.x, inside.y, 'yard'))
+""")
+
+
+def point(track: int, second: float, x: float) -> TrackPoint:
+    rest = dict.fromkeys(("y", "x1", "y1", "x2", "y2", "vx", "vy"), 10.0)
+    return TrackPoint(
+        time=T0 + timedelta(seconds=second), track_id=track, frame=int(second * 10), x=x, confidence=1.0, **rest
+    )
+
+
+def say(log: Log, source: str, *events: EventType) -> None:
+    stream = StreamName.of(STATION, source, events[0].type_name)
+    log.append([encode(stream, batch_of(events), PRODUCER)])
+
+
+def add_video(log: Log, source: str) -> None:
+    size = {"width": 100, "height": 100, "fps": 10.0, "frames_expected": 10, "codec": "h264"}
+    say(log, source, VideoAdded(time=T0, video="00", path="v", started_at=T0, **size))
+
+
+def end(log: Log, source: str, second: float = 60.0) -> None:
+    at = T0 + timedelta(seconds=second)
+    say(log, source, ProcessFinished(time=at, process="p", frames=1, events=1, gaps=0))
+
+
+def walkers(log: Log, source: str = "gate", tracks: int = 3, seconds: int = 12) -> None:
+    """Tracks that go in and out of the right half, a second a segment."""
+    add_video(log, source)
+    for second in range(seconds):
+        inside = [(track + second) % 4 < 2 for track in range(tracks)]
+        say(log, source, *(point(t + 1, second, 80 if i else 20) for t, i in enumerate(inside)))
+    end(log, source)
+
+
+def situations(log: Log) -> list[SituationDetected]:
+    found: list[Any] = []
+    for segment in log.read_all(types=["situation_detected"]):
+        found += events_of(decode(segment, log.catalogue))
+    return found
+
+
+def heads(log: Log) -> list[tuple[str, int, bytes]]:
+    return [(str(head.stream), head.sequence, head.chain_hash) for head in log.streams()]
+
+
+@pytest.fixture
+def walked(make_log: MakeLog) -> Iterator[tuple[Log, list[Any]]]:
+    """A log in which the rule has run at once, undisturbed, and what came of it."""
+    log = make_log()
+    walkers(log)
+    Processor(log, STATION, [rule()]).catch_up()
+    assert len(situations(log)) == 8
+    yield log, heads(log)
+
+
+def test_a_situation_carries_rule_partition_measures_and_its_events(make_log: MakeLog) -> None:
+    log = make_log()
+    add_video(log, "gate")
+    say(log, "gate", point(7, 0, 20), point(8, 0, 20), point(7, 1, 80), point(7, 2, 80))
+    end(log, "gate")
+    entering = rule()
+
+    assert Processor(log, STATION, [entering]).catch_up() == 1
+
+    (found,) = situations(log)
+    assert (found.rule, found.rule_version, found.rule_hash) == ("enters", 1, entering.hash)
+    assert found.title == "track 7 came in"
+    assert json.loads(found.partition) == {"source": "gate", "track_id": 7}
+    assert json.loads(found.measures) == {"entered_at": "2026-01-01T10:00:01+00:00", "x": 80.0}
+    assert (found.began_at, found.ended_at) == (T0, T0 + timedelta(seconds=1))
+    assert [(r.variable, r.stream, r.first_sequence, r.last_sequence, r.events) for r in found.lineage] == [
+        ("outside", "brno/gate/track_point", 1, 1, 1),
+        ("inside", "brno/gate/track_point", 3, 3, 1),
+    ]
+    (segment,) = log.read_all(types=["situation_detected"])
+    assert segment.header.producer == Producer("rule/enters", "1", bytes.fromhex(entering.hash))
+
+
+def test_following_live_finds_what_running_over_history_finds(make_log: MakeLog, walked: tuple[Log, list[Any]]) -> None:
+    log = make_log()
+    processor = Processor(log, STATION, [rule()])
+    add_video(log, "gate")
+    processor.catch_up()
+    for second in range(12):
+        inside = [(track + second) % 4 < 2 for track in range(3)]
+        say(log, "gate", *(point(t + 1, second, 80 if i else 20) for t, i in enumerate(inside)))
+        processor.catch_up()
+    end(log, "gate")
+    processor.catch_up()
+
+    assert heads(log) == walked[1]
+
+
+def test_a_new_processor_for_every_segment_finds_the_same(make_log: MakeLog, walked: tuple[Log, list[Any]]) -> None:
+    log = make_log()
+    walkers(log)
+    last = log.head()
+    while log.checkpoint(checkpoint_name(rule())).position < last:
+        processor = Processor(log, STATION, [rule()])
+        processor._subscription._limit = 1
+        processor.step()
+
+    assert heads(log) == walked[1]
+
+
+def test_running_again_over_the_same_log_appends_nothing(walked: tuple[Log, list[Any]]) -> None:
+    log, before = walked
+    assert Processor(log, STATION, [rule()]).catch_up() == 0
+    assert heads(log) == before
+
+
+@pytest.mark.parametrize("fails_at", ["append", "save_checkpoint"])
+def test_a_commit_that_fails_is_done_again_from_the_log(
+    make_log: MakeLog, walked: tuple[Log, list[Any]], monkeypatch: pytest.MonkeyPatch, fails_at: str
+) -> None:
+    log = make_log()
+    walkers(log)
+    processor = Processor(log, STATION, [rule()])
+    processor._subscription._limit = 3
+    original = getattr(Transaction, fails_at)
+    calls = 0
+
+    def sometimes(self: Transaction, *arguments: Any, **named: Any) -> Any:
+        nonlocal calls
+        calls += 1
+        result = original(self, *arguments, **named)
+        if calls % 2:
+            raise LogUnavailable("gone before the commit")
+        return result
+
+    monkeypatch.setattr(Transaction, fails_at, sometimes)
+    failures = 0
+    while processor.position < log.head():
+        try:
+            processor.step()
+        except LogUnavailable:
+            failures += 1
+
+    assert failures >= 3
+    assert heads(log) == walked[1]
+
+
+def test_two_processors_at_once_append_each_situation_once(make_log: MakeLog, walked: tuple[Log, list[Any]]) -> None:
+    log = make_log()
+    walkers(log)
+    pair = [Processor(log, STATION, [rule()]) for _ in range(2)]
+    for processor in pair:
+        processor._subscription._limit = 2
+    for _ in range(20):
+        for processor in pair:
+            processor.step()
+
+    assert heads(log) == walked[1]
+
+
+def test_many_rules_run_in_one_pass_and_each_remembers_its_own_place(make_log: MakeLog) -> None:
+    log = make_log()
+    walkers(log)
+    Processor(log, STATION, [rule("early")]).catch_up()
+    found = Processor(log, STATION, [rule("early"), rule("later")]).catch_up()
+
+    by_rule = [each.rule for each in situations(log)]
+    assert found == 8
+    assert by_rule.count("early") == by_rule.count("later") == 8
+
+
+def test_a_rule_that_fails_is_set_aside_and_the_others_go_on(
+    make_log: MakeLog, caplog: pytest.LogCaptureFixture
+) -> None:
+    log = make_log()
+    walkers(log)
+    failing = rule("failing", skip="SKIP TO FIRST outside")  # back to the match's first row: an error at run time
+    processor = Processor(log, STATION, [failing, rule()])
+    with caplog.at_level(logging.ERROR):
+        assert processor.catch_up() == 8
+
+    assert list(processor.failures) == ["failing"]
+    assert "rule failing is set aside at position" in caplog.text
+    assert {each.rule for each in situations(log)} == {"enters"}
+
+
+def test_a_rule_that_was_set_aside_stays_so_when_the_state_is_read_again(
+    make_log: MakeLog, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log = make_log()
+    walkers(log)
+    processor = Processor(log, STATION, [rule("failing", skip="SKIP TO FIRST outside"), rule()])
+    processor.catch_up()
+    processor._is_stale = True
+    walkers(log, "street")
+    processor.catch_up()
+
+    assert list(processor.failures) == ["failing"]
+
+
+def test_zones_belong_to_one_source(make_log: MakeLog) -> None:
+    log = make_log()
+    walkers(log, "street")
+    walkers(log, "gate")
+    Processor(log, STATION, [rule()]).catch_up()
+
+    assert {str(segment.stream) for segment in log.read_all(types=["situation_detected"])} == {
+        "brno/gate/situation_detected"
+    }
+
+
+def test_situations_of_no_single_source_are_the_rules_own(make_log: MakeLog) -> None:
+    log = make_log()
+    add_video(log, "gate")
+    say(log, "gate", point(7, 0, 20), point(7, 1, 80))
+    end(log, "gate")
+    Processor(log, STATION, [rule(partition="track_id")]).catch_up()
+
+    (segment,) = log.read_all(types=["situation_detected"])
+    assert str(segment.stream) == "brno/rules/situation_detected"
+
+
+def test_late_events_are_counted_and_logged(make_log: MakeLog, caplog: pytest.LogCaptureFixture) -> None:
+    log = make_log()
+    add_video(log, "gate")
+    say(log, "gate", point(7, 10, 20))
+    say(log, "gate", point(7, 3, 80))
+    processor = Processor(log, STATION, [rule()])
+    with caplog.at_level(logging.WARNING):
+        processor.catch_up()
+
+    assert processor.late == {"enters": 1}
+    assert "brno/gate/track_point/2 came too late" in caplog.text
+
+
+def test_a_rule_is_deployed_once_for_each_version(make_log: MakeLog) -> None:
+    log = make_log()
+    first, second = rule(), rule(version=2, measures="inside.x AS x")
+    texts = {"enters": "the file"}
+
+    assert deploy(log, STATION, [first], texts, T0) == [first]
+    assert deploy(log, STATION, [first], texts, T0) == []
+    assert deploy(log, STATION, [second], texts, T0) == [second]
+    assert log.stream_head(StreamName.of(STATION, "rules", "rule_deployed")).sequence == 2
+
+
+def test_a_deployed_version_cannot_change(make_log: MakeLog) -> None:
+    log = make_log()
+    deploy(log, STATION, [rule()], {"enters": "the file"}, T0)
+    with pytest.raises(PatternError, match=r"enters version 1 is deployed with another content.*a new version"):
+        deploy(log, STATION, [rule(measures="inside.x AS x")], {"enters": "another file"}, T0)
+
+
+def test_rules_may_use_every_column_of_envelope_and_type(make_log: MakeLog) -> None:
+    known = schemas(make_log().catalogue)["track_point"]
+    assert known.names[:6] == ["station", "source", "type", "subject", "sequence", "time"]
+    assert {"track_id", "x", "confidence"} <= set(known.names)
