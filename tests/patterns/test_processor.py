@@ -2,7 +2,6 @@
 
 import json
 import logging
-from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
@@ -101,13 +100,13 @@ def heads(log: Log) -> list[tuple[str, int, bytes]]:
 
 
 @pytest.fixture
-def walked(make_log: MakeLog) -> Iterator[tuple[Log, list[Any]]]:
+def walked(make_log: MakeLog) -> tuple[Log, list[Any]]:
     """A log in which the rule has run at once, undisturbed, and what came of it."""
     log = make_log()
     walkers(log)
     Processor(log, STATION, [rule()]).catch_up()
     assert len(situations(log)) == 8
-    yield log, heads(log)
+    return log, heads(log)
 
 
 def test_a_situation_carries_rule_partition_measures_and_its_events(make_log: MakeLog) -> None:
