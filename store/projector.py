@@ -185,7 +185,9 @@ def _json(field: pa.Field, value: Any) -> Any:
     """A value for a `jsonb` column: text that is JSON already, or a structure."""
     if value is None:
         return None
-    text = to_json(value, inf_nan_mode="strings").decode() if pa.types.is_list(field.type) else value
+    text = value
+    if pa.types.is_list(field.type):
+        text = to_json(value, inf_nan_mode="strings", bytes_mode="base64").decode()
     if "\\u0000" in text:
         text = _JSON_NUL.sub(r"\1\\ufffd", text)
     return Jsonb(text, dumps=str)
