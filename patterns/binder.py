@@ -8,7 +8,6 @@ match becomes a guard over registers. Cheap: a rule is bound in milliseconds.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from string import Formatter
 
 import pyarrow as pa
 
@@ -37,8 +36,10 @@ from patterns.limits import Limits
 from patterns.parser import parse
 from patterns.program import ProgramTooLarge, Tables, compile_pattern, tabulate
 from patterns.rule import Rule
-from patterns.scalars import Scope, translate
+from patterns.scalars import translate
+from patterns.scope import Scope
 from patterns.syntax import Alternation, Concatenation, Identifier, Pattern, Query, Repetition, Scalar, Variable
+from patterns.titles import check_formats, title_fields
 
 PREDICATES_MOST = 63
 
@@ -250,10 +251,13 @@ class _Binder:
                 continue
             if name not in self.columns:
                 have = ", ".join(sorted(known | set(self.columns)))
-                raise self.rule_error(f"title: unknown name {{{name}}}; there are: {have}", "title", name)
+                raise self.rule.error(f"title: unknown name {{{name}}}; there are: {have}", "title")
             value = Reference(None, "last", Column(name, self.columns[name]))
             self.remember(value)
             outputs[name] = Output(name, value)
+        kinds = {key: self.columns[key] for key in keys}
+        kinds |= {output.name: output.value.kind for output in (*measures, *outputs.values())}
+        check_formats(self.rule, kinds)
         return tuple(outputs.values())
 
     def check_once_per(self, measures: tuple[Output, ...], keys: tuple[str, ...]) -> None:
@@ -262,7 +266,7 @@ class _Binder:
             if name not in known:
                 have = ", ".join(sorted(known)) or "none"
                 message = f"once_per: {name!r} is neither a partition column nor a measure; there are: {have}"
-                raise self.rule_error(message, "emit", "once_per")
+                raise self.rule.error(message, "emit", "once_per")
 
     # Taking expressions apart.
 
@@ -339,10 +343,6 @@ class _Binder:
     def error(self, message: str, at: int) -> RuleError:
         return self.query.passage.error(message, at)
 
-    def rule_error(self, message: str, key: str, part: str) -> RuleError:
-        passage = self.rule.passage(key)
-        return passage.error(message, max(passage.text.find(part), 0))
-
 
 def _row_local_parts(guard: Expr) -> list[Expr]:
     if is_row_local(guard):
@@ -379,27 +379,6 @@ def lifted(expr: Expr) -> Expr:
     variable, which = frames.pop()
     inner = rebuilt(expr, lambda part: part.operand if isinstance(part, Reference) else part)
     return Reference(variable, which, inner)
-
-
-def title_fields(rule: Rule) -> list[str]:
-    """The names between braces in the rule's title.
-
-    Raises:
-        RuleError: A brace that is not closed, or more than a name (and a format) between braces.
-    """
-    passage = rule.passage("title")
-    try:
-        fields = [(name, spec, conversion) for _, name, spec, conversion in Formatter().parse(rule.title)]
-    except ValueError as error:
-        raise passage.error(f"title: {error}", 0) from error
-    names = []
-    for name, spec, conversion in fields:
-        if name is None:
-            continue
-        if not name.isidentifier() or conversion or "{" in (spec or ""):
-            raise passage.error(f"title: wanted {{name}} or {{name:format}}, got {{{name}}}", 0)
-        names.append(name)
-    return names
 
 
 def kind_of(arrow_type: pa.DataType) -> Kind | None:

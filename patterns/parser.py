@@ -241,6 +241,9 @@ class _Parser:
         tree = trees[0]
         if len(trees) != 1 or not isinstance(tree, exp.Paren | exp.Subquery):
             raise self.passage.error(f"{clause}: not one scalar expression", words[0].start)
+        if isinstance(tree.this, exp.Alias):
+            alias = tree.this.args["alias"]
+            raise self.passage.error(f"{clause}: not one expression", alias.meta.get("start", words[-1].start))
         return tree.this if isinstance(tree, exp.Paren) else tree
 
     def begins_clause(self) -> bool:

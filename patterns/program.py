@@ -14,8 +14,6 @@ from dataclasses import dataclass
 
 from patterns.syntax import Alternation, Concatenation, Pattern, Repetition, Variable
 
-_VISITS_MOST = 1_000_000
-
 
 class ProgramTooLarge(Exception):
     """The pattern needs more than the limit allows."""
@@ -110,11 +108,7 @@ def listing(program: Sequence[Instruction], variables: Sequence[str]) -> str:
 
 
 def tabulate(program: Sequence[Instruction]) -> Tables:
-    """The tables of the program.
-
-    Raises:
-        ProgramTooLarge: Nested loops over nothing take too long to unfold.
-    """
+    """The tables of the program."""
     places = [at for at, instruction in enumerate(program) if isinstance(instruction, Row)]
     numbers = {at: number for number, at in enumerate(places)}
     closures = [_closure(program, at + 1) for at in places]
@@ -128,7 +122,11 @@ def tabulate(program: Sequence[Instruction]) -> Tables:
 
 
 def _closure(program: Sequence[Instruction], start: int) -> tuple[list[int], bool]:
-    """The row instructions reached from here without taking a row, preferred first, up to the first match."""
+    """The row instructions reached from here without taking a row, preferred first, up to the first match.
+
+    Loops are left in the reverse order of entering, so an instruction is visited at most once for
+    each loop around it.
+    """
     reached: dict[int, None] = {}
     seen: set[tuple[int, int]] = set()
     stack = [(start, 0)]
@@ -137,8 +135,6 @@ def _closure(program: Sequence[Instruction], start: int) -> tuple[list[int], boo
         if (at, marked) in seen:
             continue
         seen.add((at, marked))
-        if len(seen) > _VISITS_MOST:
-            raise ProgramTooLarge("the pattern nests too many loops whose bodies can be empty")
         match program[at]:
             case Row():
                 reached.setdefault(at)

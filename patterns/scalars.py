@@ -6,14 +6,11 @@ the variable, or of the match.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
-from datetime import timedelta
-from fractions import Fraction
+from dataclasses import replace
 from typing import Any, NoReturn
 
 from sqlglot import exp
 
-from patterns.durations import microseconds
 from patterns.errors import NotSupportedYet, RuleError
 from patterns.expressions import (
     Column,
@@ -31,18 +28,15 @@ from patterns.expressions import (
     rebuilt,
     walk,
 )
-from patterns.geometry import DIRECTIONS, Line, Zone
+from patterns.geometry import DIRECTIONS
+from patterns.literals import VARIABLE_UNITS, interval, number
+from patterns.scope import Scope, constant
 from patterns.syntax import Scalar
-from patterns.text import Passage
 from patterns.tokens import canonical_name
 from patterns.typing_rules import TypeMismatch, as_float, typed_call
 
 PREV_MOST = 1_000
 
-_UNITS_US = {
-    "MICROSECOND": 1, "MILLISECOND": 1_000, "SECOND": 1_000_000, "MINUTE": 60_000_000,
-    "HOUR": 3_600_000_000, "DAY": 86_400_000_000,
-}  # fmt: skip
 _BINARY: dict[type[exp.Expression], str] = {
     exp.Add: "+", exp.Sub: "-", exp.Mul: "*", exp.Div: "/", exp.Mod: "%", exp.EQ: "=", exp.NEQ: "<>",
     exp.LT: "<", exp.LTE: "<=", exp.GT: ">", exp.GTE: ">=", exp.And: "and", exp.Or: "or",
@@ -51,35 +45,6 @@ _FUNCTIONS: dict[type[exp.Expression], str] = {
     exp.Abs: "abs", exp.Sqrt: "sqrt", exp.Least: "least", exp.Greatest: "greatest",
     exp.Coalesce: "coalesce", exp.Neg: "neg", exp.Not: "not",
 }  # fmt: skip
-
-
-@dataclass(frozen=True, slots=True)
-class Scope:
-    """What names mean where an expression stands.
-
-    Attributes:
-        passage: The SQL, for errors.
-        clause: The clause, for errors.
-        columns: The event type's columns that the language can read.
-        unreadable: Its other columns, and the Arrow type that keeps them from being read.
-        variables: Pattern variables: compared name to shown name.
-        own: The variable that DEFINE is defining.
-        has_row: Whether there is a row at hand (DEFINE, WHERE) or a finished match (MEASURES).
-        params: The rule's parameters.
-        zones: The rule's zones.
-        lines: The rule's lines.
-    """
-
-    passage: Passage
-    clause: str
-    columns: Mapping[str, Kind]
-    unreadable: Mapping[str, str]
-    variables: Mapping[str, str]
-    own: str | None
-    has_row: bool
-    params: Mapping[str, Any]
-    zones: Mapping[str, Zone]
-    lines: Mapping[str, Line]
 
 
 def translate(scalar: Scalar, scope: Scope) -> Expr:
@@ -240,17 +205,12 @@ class _Translator:
     # Literals.
 
     def literal(self, node: exp.Expression) -> Expr:
-        text = str(node.this)
         if node.args.get("is_string"):
-            return Const(text, Kind.STRING)
-        if text.isdigit():
-            if int(text) >= 2**63:
-                self.fail(f"an integer is below 2^63, got {text}", node)
-            return Const(int(text), Kind.INT)
+            return Const(str(node.this), Kind.STRING)
         try:
-            return Const(float(text), Kind.FLOAT)
-        except ValueError:
-            self.fail(f"not a number: {text}", node)
+            return number(str(node.this))
+        except TypeMismatch as error:
+            raise self.error(str(error), node) from error
 
     def boolean(self, node: exp.Expression) -> Expr:
         return Const(bool(node.this), Kind.BOOL)
@@ -263,17 +223,12 @@ class _Translator:
         if not isinstance(unit, exp.Var) or not isinstance(node.this, exp.Literal):
             self.refuse("an INTERVAL other than of one number and one unit", node)
         name = unit.name.upper().removesuffix("S")
-        if name in ("MONTH", "YEAR", "QUARTER", "WEEK"):
+        if name in VARIABLE_UNITS:
             self.refuse(f"INTERVAL in {name}", node)
-        if name not in _UNITS_US:
-            self.fail(f"unknown unit {unit.name}; there are: {', '.join(_UNITS_US)}", node)
         try:
-            length = Fraction(str(node.this.this)) * _UNITS_US[name]
-        except (ValueError, ZeroDivisionError):
-            self.fail(f"an interval is a number, got {node.this.this!r}", node)
-        if length.denominator != 1 or abs(length) >= 2**63:
-            self.fail("an interval is a whole number of microseconds, of at most 64 bits", node)
-        return Const(int(length), Kind.DURATION)
+            return interval(str(node.this.this), name)
+        except TypeMismatch as error:
+            raise self.error(str(error), node) from error
 
     # Forms that are other forms in disguise.
 
@@ -389,16 +344,11 @@ class _Translator:
 
     def offset(self, node: exp.Expression) -> int:
         """Where the node, or the first part of it that knows its place, stands."""
+        if isinstance(node, exp.Query | exp.Exists):
+            word = "EXISTS" if isinstance(node, exp.Exists) else "SELECT"
+            return max(self.scope.passage.text.upper().find(word, self.at), self.at)
         places = [part.meta["start"] for part in node.walk() if "start" in part.meta]
         return min(places, default=self.at)
-
-
-def constant(value: Any) -> Const:
-    """A parameter's value as a constant."""
-    if isinstance(value, timedelta):
-        return Const(microseconds(value), Kind.DURATION)
-    kinds = {bool: Kind.BOOL, int: Kind.INT, float: Kind.FLOAT, str: Kind.STRING}
-    return Const(value, kinds[type(value)])
 
 
 def _has_free_column(expr: Expr) -> bool:

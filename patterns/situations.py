@@ -13,10 +13,9 @@ from patterns.durations import MICROSECOND
 from patterns.expressions import Kind
 from patterns.guards import Guard, compile_guard
 from patterns.matcher import Event, Found, runs
+from patterns.titles import Scalar, filled_title
 
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
-
-Scalar = bool | int | float | str | datetime | timedelta | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,28 +141,6 @@ def event_ref(event: Event, stream_names: Sequence[str]) -> EventRef:
     """The event with its stream's name and its time."""
     stream, sequence, time_us = event
     return EventRef(stream_names[stream], sequence, _time(time_us))
-
-
-def filled_title(title: str, values: dict[str, Scalar]) -> str:
-    """The title with each `{name}` or `{name:format}` in its place; NULL is shown as `?`."""
-    return title.format_map({name: _Shown(value) for name, value in values.items()})
-
-
-class _Shown:
-    """A value as a title shows it."""
-
-    def __init__(self, value: Scalar) -> None:
-        self.value = value
-
-    def __format__(self, spec: str) -> str:
-        value = self.value
-        if value is None:
-            return "?"
-        if spec:
-            return format(value, spec)
-        if isinstance(value, datetime):
-            return value.isoformat().replace("+00:00", "Z")
-        return f"{value.total_seconds():g} s" if isinstance(value, timedelta) else str(value)
 
 
 def as_python(value: Any, kind: Kind) -> Scalar:

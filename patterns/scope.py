@@ -1,0 +1,48 @@
+"""What names mean where an expression stands."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import timedelta
+from typing import Any
+
+from patterns.durations import microseconds
+from patterns.expressions import Const, Kind
+from patterns.geometry import Line, Zone
+from patterns.text import Passage
+
+
+@dataclass(frozen=True, slots=True)
+class Scope:
+    """What names mean where an expression stands.
+
+    Attributes:
+        passage: The SQL, for errors.
+        clause: The clause, for errors.
+        columns: The event type's columns that the language can read.
+        unreadable: Its other columns, and the Arrow type that keeps them from being read.
+        variables: Pattern variables: compared name to shown name.
+        own: The variable that DEFINE is defining.
+        has_row: Whether there is a row at hand (DEFINE, WHERE) or a finished match (MEASURES).
+        params: The rule's parameters.
+        zones: The rule's zones.
+        lines: The rule's lines.
+    """
+
+    passage: Passage
+    clause: str
+    columns: Mapping[str, Kind]
+    unreadable: Mapping[str, str]
+    variables: Mapping[str, str]
+    own: str | None
+    has_row: bool
+    params: Mapping[str, Any]
+    zones: Mapping[str, Zone]
+    lines: Mapping[str, Line]
+
+
+def constant(value: Any) -> Const:
+    """A parameter's value as a constant."""
+    if isinstance(value, timedelta):
+        return Const(microseconds(value), Kind.DURATION)
+    kinds = {bool: Kind.BOOL, int: Kind.INT, float: Kind.FLOAT, str: Kind.STRING}
+    return Const(value, kinds[type(value)])

@@ -1,0 +1,78 @@
+"""Every clause misspelt, every name unknown, every unsupported feature: line, column and caret in the file."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from patterns import NotSupportedYet, RuleError, bind, check, parse_rule
+from tests.patterns.samples import SCHEMAS
+
+HEAD = """\
+rule: sample
+version: 1
+title: sample
+severity: info
+params: {dwell: 10 s, word: abc}
+zones: {yard: {source: cam-01, polygon: [[0, 0], [1, 0], [1, 1]]}}
+lines: {door: {source: cam-01, points: [[0, 0], [1, 0]]}}
+# a comment
+match: |
+"""
+BEGINNING = "SELECT * FROM letter MATCH_RECOGNIZE (PARTITION BY key ORDER BY time\n"
+
+
+def _cases() -> list[tuple[str, str]]:
+    text = (Path(__file__).parent / "cases" / "errors.txt").read_text()
+    parts = text.split("---\n")[1:]
+    return [(part.split("\n> ")[0], part.split("\n> ")[1].strip()) for part in parts]
+
+
+@pytest.mark.parametrize("sql,wanted", _cases(), ids=lambda value: re.sub(r"\s+", " ", value)[:70])
+def test_what_is_wrong_is_named_with_its_place(sql: str, wanted: str) -> None:
+    place, _, message = wanted.partition(" ")
+    sql = sql.replace("{Q} ", BEGINNING)
+    text = HEAD + "".join(f"  {line}\n" for line in sql.split("\n"))
+    with pytest.raises(RuleError) as caught:
+        bind(parse_rule(text, "sample.yaml"), SCHEMAS)
+    error = caught.value
+    assert message in error.message
+    assert f"{error.line}:{error.column}" == place
+    assert str(error).startswith(f"sample.yaml:{place}: ")
+    shown, caret = error.excerpt.splitlines()
+    assert shown.endswith(text.splitlines()[error.line - 1])
+    assert len(caret) - 1 == shown.index("|") + 1 + error.column
+    assert isinstance(error, NotSupportedYet) == ("not supported yet" in error.message)
+
+
+def test_check_gives_the_same_error_as_a_finding() -> None:
+    text = HEAD + f"  {BEGINNING}  PATTERN (A) DEFINE A AS nn > 1)\n"
+    rule = parse_rule(text)
+    (finding,) = check(rule, SCHEMAS)
+    assert finding.severity == "error"
+    assert (finding.place.line, finding.place.column) == (11, 27)
+    assert "<rule>:11:27: error: DEFINE: unknown column 'nn'" in str(finding)
+
+
+def test_check_warns_of_what_is_unused_or_unbounded() -> None:
+    rule = parse_rule(HEAD.replace("severity: info", "severity: info\nprofile: portable")
+                      + f"  {BEGINNING}  PATTERN (A B) DEFINE B AS n > PREV(n))\n")  # fmt: skip
+    messages = [str(finding) for finding in check(rule, SCHEMAS)]
+    assert [message.split(": ")[1] for message in messages] == ["warning"] * 6
+    for part in ("zone 'yard' is never used", "line 'door' is never used", "parameter 'dwell'", "parameter 'word'",
+                 "without WITHIN", "portable profile is not checked"):  # fmt: skip
+        assert any(part in message for message in messages), part
+
+
+def test_check_warns_of_rows_that_are_kept_for_good() -> None:
+    rule = parse_rule(HEAD + f"  {BEGINNING}  PATTERN (A B) WITHIN :dwell DEFINE A AS n > PREV(n))\n")
+    assert any("a row of every partition is remembered" in finding.message for finding in check(rule, SCHEMAS))
+
+
+def test_an_error_in_a_long_line_shows_the_part_around_it() -> None:
+    text = HEAD + f"  {BEGINNING}  PATTERN (A B) DEFINE A AS {' AND '.join(['n > 1'] * 60)} AND nn > 1)\n"
+    with pytest.raises(RuleError) as caught:
+        bind(parse_rule(text), SCHEMAS)
+    shown, caret = caught.value.excerpt.splitlines()
+    assert len(shown) < 180
+    assert shown[len(caret) - 1 :].startswith("nn > 1")
