@@ -20,7 +20,7 @@ from patterns.text import Document, Passage
 
 FILE_SIZE_MOST = 1_000_000
 
-KeyPath = tuple[str | int, ...]
+KeyPath = tuple[str, ...]
 
 
 def load_rules(path: Path) -> list[Rule]:
@@ -122,7 +122,7 @@ def _note(node: Node, path: KeyPath, document: Document, passages: dict[KeyPath,
     passages[path] = _passage(node, document)
     if isinstance(node, SequenceNode):
         for index, item in enumerate(node.value):
-            _note(item, (*path, index), document, passages)
+            _note(item, (*path, str(index)), document, passages)
     if not isinstance(node, MappingNode):
         return
     seen = set()
@@ -163,10 +163,12 @@ def _block_starts(text: str, document: Document, line: int) -> tuple[tuple[int, 
 
 def _pointed(error: ValidationError, passages: Mapping[KeyPath, Passage]) -> RuleError:
     """The first complaint of pydantic, pointing at the value that it is about."""
-    first = error.errors(include_url=False)[0]
+    complaints = error.errors(include_url=False)
+    # A misspelt key is two complaints, of which the unknown key says more than the missing one.
+    first = next((each for each in complaints if each["type"] == "extra_forbidden"), complaints[0])
     message = str(first["msg"]).removeprefix("Value error, ")
-    location = tuple(first["loc"])
-    shown = ".".join(str(part) for part in location if _is_ours(part)) or "rule"
+    location = tuple(str(part) for part in first["loc"])
+    shown = ".".join(part for part in location if not any(sign in part for sign in "[(")) or "rule"
     if first["type"] == "extra_forbidden":
         message = f"unknown key; there are: {', '.join(_known_keys(location))}"
         location = (*location, "[key]")
@@ -176,11 +178,6 @@ def _pointed(error: ValidationError, passages: Mapping[KeyPath, Passage]) -> Rul
         if location[:length] in passages:
             return passages[location[:length]].error(f"{shown}: {message}", 0)
     raise AssertionError("the document itself has a place")
-
-
-def _is_ours(part: str | int) -> bool:
-    """Whether a part of pydantic's location is a key of the file, not the name of a branch of a union."""
-    return isinstance(part, int) or not any(sign in part for sign in "[(")
 
 
 def _known_keys(location: KeyPath) -> list[str]:

@@ -113,7 +113,7 @@ class Rule(_Frozen):
     tests: tuple[Case, ...] = ()
 
     _path: Path | None = PrivateAttr(default=None)
-    _passages: Mapping[tuple[str | int, ...], Passage] = PrivateAttr(default_factory=dict)
+    _passages: Mapping[tuple[str, ...], Passage] = PrivateAttr(default_factory=dict)
 
     @model_validator(mode="after")
     def _names_are_distinct(self) -> Self:
@@ -140,7 +140,7 @@ class Rule(_Frozen):
     def passage(self, *path: str | int) -> Passage:
         """Where the value under these keys stands in the file, for errors that point at it."""
         for length in range(len(path), -1, -1):
-            found = self._passages.get(path[:length])
+            found = self._passages.get(tuple(str(key) for key in path[:length]))
             if found is not None:
                 return found
         value: Any = self.model_dump(mode="python")
@@ -176,7 +176,7 @@ class Rule(_Frozen):
         """
         return self._with("params", self.params, {name: _as_param(value) for name, value in params.items()})
 
-    def loaded_from(self, path: Path | None, passages: Mapping[tuple[str | int, ...], Passage]) -> Self:
+    def loaded_from(self, path: Path | None, passages: Mapping[tuple[str, ...], Passage]) -> Self:
         """The rule, knowing where in which file each of its values stands."""
         copy = self.model_copy()
         copy._path = path

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from patterns import Match, Rule, RuleRun, bind, match
+from patterns import BoundRule, Match, RuleRun, bind, match
 from tests.patterns.samples import SCHEMAS, letter_rows, letter_rule
 
 LATENESS_US = 4
@@ -73,8 +73,7 @@ def _pieces(rows: list[Record], cuts: list[int]) -> list[list[Record]]:
     return [rows[begin:end] for begin, end in pairwise(bounds)]
 
 
-def _online(rule: Rule, pieces: list[list[Record]], restarts: set[int]) -> list[Match]:
-    bound = bind(rule, SCHEMAS)
+def _online(bound: BoundRule, pieces: list[list[Record]], restarts: set[int]) -> list[Match]:
     run = RuleRun(bound)
     found: list[Match] = []
     for index, piece in enumerate(pieces):
@@ -83,13 +82,13 @@ def _online(rule: Rule, pieces: list[list[Record]], restarts: set[int]) -> list[
         found += outcome.matches
         if index in restarts:
             state = run.state()
-            run = RuleRun(bind(rule, SCHEMAS))
+            run = RuleRun(bound)
             run.restore(state)
             assert run.state() == state
     return [*found, *run.finish().matches]
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=45, deadline=None)
 @given(
     rows=records(), cuts=st.lists(st.integers(0, 100), max_size=6), restarts=st.sets(st.integers(0, 6)),
     is_shuffled=st.booleans(),
@@ -99,8 +98,9 @@ def test_any_split_restart_and_order_of_arrival_gives_what_batch_gives(
     name: str, rows: list[Record], cuts: list[int], restarts: set[int], is_shuffled: bool
 ) -> None:
     arriving = sorted(rows, key=lambda row: row["us"] + row["delay"]) if is_shuffled else rows
-    wanted = match(bind(RULES[name], SCHEMAS), letter_rows(rows))
-    assert _online(RULES[name], _pieces(arriving, cuts), restarts) == wanted
+    bound = bind(RULES[name], SCHEMAS)
+    wanted = match(bound, letter_rows(rows))
+    assert _online(bound, _pieces(arriving, cuts), restarts) == wanted
 
 
 def _run(more: str = "time: {lateness: 2 s}", **arguments: str) -> RuleRun:

@@ -1,0 +1,115 @@
+"""The rules that are shipped, and how a rule's own tests run."""
+
+from pathlib import Path
+
+import pytest
+
+import patterns
+from patterns import RuleError, check, load_rule, load_rules, parse_rule, run_tests
+from tests.patterns.samples import SCHEMAS
+
+FOLDER = Path(patterns.__file__).parent / "rules"
+NAMES = ["line-crossing", "loitering", "zone-intrusion"]
+
+
+def test_the_three_of_the_demo_are_there() -> None:
+    assert [rule.rule for rule in load_rules(FOLDER)] == NAMES
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_shipped_rule_passes_its_own_tests_and_has_no_findings(name: str) -> None:
+    rule = load_rule(FOLDER / f"{name}.yaml")
+    assert check(rule, SCHEMAS) == []
+    results = run_tests(rule, SCHEMAS)
+    assert results
+    assert [(result.name, result.difference) for result in results if not result.passed] == []
+
+
+RULE = """\
+rule: sample
+version: 1
+title: "{letter}"
+severity: info
+match: |
+  SELECT * FROM letter MATCH_RECOGNIZE (
+    PARTITION BY key ORDER BY time
+    MEASURES A.n AS n, A.v AS v, A.time AS at, A.gap AS gap, A.flag AS flag
+    PATTERN (A) DEFINE A AS letter = 'a')
+tests:
+"""
+
+
+def _results(tests: str) -> list[tuple[bool, str]]:
+    return [(result.passed, result.difference) for result in run_tests(parse_rule(RULE + tests), SCHEMAS)]
+
+
+DIFFERENCE = """\
+  n: 1
+- n: 5, title: a
++ n: 2, title: a
++ n: 3, v: None, at: 2026-01-01T10:00:02Z, gap: 3 s, flag: None"""
+
+
+def test_a_difference_shows_wanted_and_found_side_by_side() -> None:
+    tests = """\
+  - given:
+      - {time: 2026-01-01T10:00:00Z, letter: a, n: 1}
+      - {time: 2026-01-01T10:00:01Z, letter: a, n: 2}
+      - {time: 2026-01-01T10:00:02Z, letter: a, n: 3, gap: 3 s}
+    expect: [{n: 1}, {n: 5, title: a}]
+  - given: [{time: 2026-01-01T10:00:00Z, letter: b}]
+    expect: [{n: 1, at: 2026-01-01T10:00:00Z, gap: 10 s}, {}]
+  - given: [{time: 2026-01-01T10:00:00Z, letter: a, n: 1}]
+    expect: [{m: 1}]
+"""
+    assert _results(tests) == [
+        (False, DIFFERENCE),
+        (False, "- n: 1, at: 2026-01-01T10:00:00Z, gap: 10 s\n- (a situation)"),
+        (False, "- m: 1\n+ m: (no such value)"),
+    ]  # fmt: skip
+
+
+def test_values_are_compared_by_what_they_mean() -> None:
+    tests = """\
+  - name: all of it
+    given: [{time: "2026-01-01T11:00:00+01:00", letter: a, n: 1, v: 0.1, gap: 2 min, flag: true}]
+    expect: [{n: 1, v: 0.1, at: 2026-01-01T10:00:00Z, gap: 120 s, flag: true, key: null}]
+  - given: [{time: 2026-01-01T10:00:00, letter: a, v: 1}]
+    expect: [{v: 1, at: "2026-01-01T10:00:00", gap: null}]
+"""
+    assert _results(tests) == [(True, ""), (True, "")]
+
+
+def test_rows_from_a_csv_file_beside_the_rule(tmp_path: Path) -> None:
+    (tmp_path / "rows.csv").write_text("time,letter,n,v,flag,gap\n2026-01-01T10:00:00Z,a,4,,true,3 s\n")
+    file = tmp_path / "sample.yaml"
+    file.write_text(RULE + "  - {given: rows.csv, expect: [{n: 4, v: null, flag: true, gap: 3 s}]}\n")
+    (result,) = run_tests(load_rule(file), SCHEMAS)
+    assert (result.rule, result.name, result.passed, result.difference) == ("sample", "rows.csv", True, "")
+
+
+@pytest.mark.parametrize(
+    "tests,place,message",
+    [
+        ("  - {given: none.csv, expect: []}\n", "11:13", "cannot read none.csv"),
+        ("  - {given: [{time: noon, letter: a}], expect: []}\n", "11:13", "row 1, column time: Invalid isoformat"),
+        ("  - {given: [{letter: a}, {time: 3}], expect: []}\n", "11:13", "row 2, column time: wanted a time such as"),
+        ("  - {given: [{flag: maybe}], expect: []}\n", "11:13", "column flag: wanted true or false, got 'maybe'"),
+        ("  - {given: [{n: many}], expect: []}\n", "11:13", "column n: invalid literal for int"),
+    ],
+)
+def test_rows_that_cannot_be_read_are_named_with_their_place(tests: str, place: str, message: str) -> None:
+    with pytest.raises(RuleError) as caught:
+        run_tests(parse_rule(RULE + tests), SCHEMAS)
+    assert message in caught.value.message
+    assert f"{caught.value.line}:{caught.value.column}" == place
+
+
+def test_a_test_whose_rows_the_rule_cannot_take_fails_with_the_reason() -> None:
+    text = (FOLDER / "loitering.yaml").read_text().replace("    frames: {cam-01: [1000, 1000]}\n", "")
+    rule = parse_rule(text, path=FOLDER / "loitering.yaml")
+    (result,) = run_tests(rule, SCHEMAS)
+    assert not result.passed
+    assert "frame size is not known" in result.difference
+    (unplaced,) = run_tests(parse_rule(RULE + "  - {given: [{letter: a}], expect: []}\n"), SCHEMAS)
+    assert unplaced.difference == "! the column time of a row must not be NULL"
