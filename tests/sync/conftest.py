@@ -91,12 +91,14 @@ class Faults(httpx.BaseTransport):
         self.next: str | None = None
         self.where = 0.5
         self.exchanges: list[str] = []
+        self.injected = 0
 
     def close(self) -> None:
         self._http.close()
 
     def handle_request(self, request: httpx.Request) -> httpx.Response:
         fault, self.next = self.next, None
+        self.injected += fault is not None
         body = request.read()
         self.exchanges.append(request.url.path.rsplit("/", 1)[-1])
         at = int(self.where * (len(body) - 1))
@@ -148,9 +150,9 @@ class Switchboard:
         await self.apps[name]({**scope, "path": path, "raw_path": path.encode()}, receive, send)
 
 
-def start_http(app: Any) -> tuple[str, Callable[[], None]]:
+def start_http(app: Any, port: int = 0) -> tuple[str, Callable[[], None]]:
     """Serve the application from a thread; its address, and what stops it."""
-    listening = socket.create_server(("127.0.0.1", 0))
+    listening = socket.create_server(("127.0.0.1", port))
     config = uvicorn.Config(app, log_config=None, lifespan="off", ws="none", timeout_graceful_shutdown=1)
     server = uvicorn.Server(config)
     thread = threading.Thread(target=server.run, kwargs={"sockets": [listening]})

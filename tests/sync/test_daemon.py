@@ -1,5 +1,6 @@
 import hashlib
 import json
+import threading
 
 import httpx
 import psycopg
@@ -24,6 +25,7 @@ from sync import (
     Refused,
     SegmentRefused,
 )
+from sync.bell import Bell
 from sync.outbox import READERS_MAX
 from tests.sync.conftest import (
     BRNO,
@@ -101,6 +103,51 @@ def test_a_plan_is_logged_once_for_each_change(station_log: Log, make_daemon: Ma
     assert json.loads(plans(station_log)[0].plan) == {
         "entries": [{"from": "beginning", "priority": 30, "stream": "*/*/*"}]
     }
+
+
+def test_a_plan_event_that_does_not_read_is_followed_by_one_that_does(
+    station_log: Log, make_daemon: MakeDaemon
+) -> None:
+    payload = b"of a newer ViAn"
+    station_log.append([Draft(PLANNED, 1, 99, NOON, NOON, PRODUCER, payload, hashlib.sha256(payload).digest())])
+
+    for _ in range(2):
+        make_daemon().step()
+
+    assert station_log.stream_head(PLANNED).sequence == 2
+
+
+def test_more_streams_than_a_hello_can_name_are_told(
+    station_log: Log, make_daemon: MakeDaemon, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    append_points(station_log, stream_of(), [1])
+    monkeypatch.setattr("sync.daemon.STREAMS_MAX", 1)
+
+    with pytest.raises(PlanError, match=r"the plan names 2 streams of this station, at most 1 can be sent"):
+        make_daemon().catch_up()
+
+
+def test_the_bell_rings_for_what_came_since_it_was_armed(station_log: Log) -> None:
+    bell, never = Bell(station_log, BRNO), threading.Event()
+    bell.arm()
+    append_points(station_log, stream_of(), [1])
+    bell.wait(3600, never)  # returns: nothing between looking and sleeping is missed
+    bell.arm()
+    bell.wait(0, never)
+    stop = threading.Event()
+    stop.set()
+    bell.wait(3600, stop)
+    bell.close()
+
+
+def test_the_bell_of_a_log_that_is_away_does_not_hold_the_daemon_up(station_log: Log) -> None:
+    bell, never = Bell(station_log, BRNO), threading.Event()
+    bell.arm()
+    station_log.close()
+    bell.wait(3600, never)
+    bell.arm()
+    bell.wait(3600, never)
+    bell.close()
 
 
 def test_the_logged_address_of_central_has_no_password(station_log: Log, make_daemon: MakeDaemon) -> None:
