@@ -13,6 +13,7 @@ from tests.sync.conftest import central_app
 def main(dsn: str, port: str) -> None:
     listening = socket.socket()
     listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    listening.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     listening.bind(("127.0.0.1", int(port)))
     listening.listen(16)
     app = central_app(Log(dsn, load_catalogue()))

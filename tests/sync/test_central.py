@@ -10,10 +10,10 @@ from typing import Any
 import httpx
 import pytest
 
-from events import Header, Position, Segment, Station, chain, encode, header_bytes, station_name
+from events import Header, Position, Segment, chain, encode, header_bytes
 from events import batch_of as batch
 from store import Log
-from sync import GrantError, Grants, Limits, Refusal, token_hash
+from sync import Limits, Refusal
 from sync.apply import apply
 from sync.wire import Hello, SegmentsAnswer, StreamState, encode_record, encode_records
 from tests.sync.conftest import (
@@ -25,7 +25,6 @@ from tests.sync.conftest import (
     Serve,
     append_points,
     central_app,
-    heads,
     points,
     stored,
     stream_of,
@@ -383,41 +382,3 @@ def test_what_a_header_says_is_what_travels() -> None:
     (one,) = segments_of(counts=(3,))
 
     assert header_bytes(one.header) in encode_record(one)
-
-
-def test_a_token_speaks_for_its_station_only() -> None:
-    grants = Grants({"brno-2": token_hash(TOKEN), "oslo-1": token_hash(OTHER_TOKEN)})
-
-    assert grants.station_of(TOKEN) == Station("brno-2")
-    assert grants.station_of(OTHER_TOKEN) == station_name("oslo-1")
-    assert grants.station_of(token_hash(TOKEN)) is None
-    assert Grants({}).station_of(TOKEN) is None
-
-
-@pytest.mark.parametrize(
-    "hashes, words",
-    [
-        ({"../x": "0" * 64}, "station must be"),
-        ({"brno-2": TOKEN}, "the grant of station brno-2 must be the SHA-256 of its token"),
-        ({"brno-2": "0" * 64, "oslo-1": "0" * 64}, "stations brno-2 and oslo-1 share one token"),
-    ],
-)
-def test_grants_that_cannot_be_meant_are_refused(hashes: dict[str, str], words: str) -> None:
-    with pytest.raises(GrantError, match=words) as raised:
-        Grants(hashes)
-    assert TOKEN not in str(raised.value)
-
-
-@pytest.mark.parametrize(
-    "token", ["", "short", "with a space in it", "t\u00f6ken-t\u00f6ken-t\u00f6ken", "x" * 513, "x" * 20 + "\n"]
-)
-def test_a_token_that_is_none_is_refused_without_being_shown(token: str) -> None:
-    with pytest.raises(GrantError) as raised:
-        token_hash(token)
-    assert not token or token not in str(raised.value)
-
-
-def test_the_heads_of_two_logs_are_compared_byte_by_byte(central_log: Log) -> None:
-    append_points(central_log, stream_of(), [1])
-
-    assert heads(central_log) == [(stream_of(), 1, 1, central_log.stream_head(stream_of()).chain_hash)]

@@ -3,7 +3,7 @@ from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from events import GENESIS, Header, Position, Producer, Segment, Sequence, StreamName, chain, header_bytes
@@ -59,11 +59,13 @@ def segment(payload: bytes = b"payload") -> Segment:
     return Segment(header, payload, bytes(32), bytes(range(32)), Position(0), NOON)
 
 
+@settings(max_examples=40)
 @given(st.lists(segments(), min_size=1, max_size=5))
 def test_decode_of_encode_is_the_identity(sent: list[Segment]) -> None:
     assert decode_records(encode_records(sent)) == sent
 
 
+@settings(max_examples=40)
 @given(segments())
 def test_the_size_of_a_record_is_known_before_it_is_encoded(one: Segment) -> None:
     assert record_size(one) == len(encode_record(one))
@@ -109,6 +111,7 @@ def test_the_longest_header_fits() -> None:
     assert decode_records(encode_record(whole)) == [whole]
 
 
+@settings(max_examples=40)
 @given(segments(), st.data())
 def test_a_cut_body_is_refused_wherever_it_is_cut(one: Segment, data: st.DataObject) -> None:
     body = encode_records([one, one])
@@ -124,6 +127,7 @@ def test_garbage_is_refused_and_nothing_else_happens(garbage: bytes) -> None:
         decode_records(garbage)
 
 
+@settings(max_examples=40)
 @given(segments(), st.data())
 def test_any_changed_byte_is_refused_or_leaves_the_rest_whole(one: Segment, data: st.DataObject) -> None:
     body = bytearray(encode_record(one))

@@ -1,0 +1,394 @@
+import hashlib
+
+import httpx
+import psycopg
+import pytest
+from fastapi import FastAPI, Response
+
+from events import Draft
+from store import Log, LogUnavailable
+from sync import (
+    BadAnswer,
+    CentralFailed,
+    CentralUnreachable,
+    Daemon,
+    Damaged,
+    HeadsDisagree,
+    NotAuthorised,
+    Pace,
+    ProtocolMismatch,
+    Refused,
+)
+from tests.sync.conftest import (
+    BRNO,
+    EVERYTHING,
+    NOON,
+    OTHER_TOKEN,
+    PRODUCER,
+    Faults,
+    MakeDaemon,
+    Serve,
+    append_points,
+    central_app,
+    stored,
+    stream_of,
+)
+
+
+def steps(daemon: Daemon, count: int) -> list[str]:
+    return [daemon.step().did for _ in range(count)]
+
+
+def test_a_wrong_token_is_told_with_the_next_command_and_tried_again_slowly(make_daemon: MakeDaemon) -> None:
+    daemon = make_daemon(token="not-the-token-of-anybody", pace=Pace(backoff_s=1, backoff_s_max=60))
+    daemon.step()
+
+    step = daemon.step()
+
+    assert isinstance(step.error, NotAuthorised)
+    assert "the token is not granted here" in str(step.error)
+    assert "Next: vian station add" in str(step.error)
+    assert step.sleep_s >= 30
+    with pytest.raises(NotAuthorised):
+        daemon.catch_up()
+
+
+def test_the_token_of_another_station_is_refused(central_log: Log, make_daemon: MakeDaemon) -> None:
+    daemon = make_daemon(token=OTHER_TOKEN)
+
+    with pytest.raises(NotAuthorised, match=r"got station brno-2, wanted station oslo-1"):
+        daemon.catch_up()
+    assert central_log.head() == 0
+
+
+def test_central_unreachable_is_reported_and_waited_for_longer_each_time(
+    station_log: Log, central_log: Log, make_daemon: MakeDaemon, faults: Faults
+) -> None:
+    append_points(station_log, stream_of(), [2])
+    daemon = make_daemon(pace=Pace(backoff_s=1, backoff_s_max=8))
+    daemon.step()
+
+    pauses = []
+    for _ in range(6):
+        faults.next = "cut before sending"
+        step = daemon.step()
+        assert isinstance(step.error, CentralUnreachable)
+        pauses.append(step.sleep_s)
+
+    assert pauses[0] <= 1
+    assert pauses[0] < pauses[2] < pauses[4] <= 8
+    assert "connection refused" in (daemon.status().last_error or "")
+    assert daemon.status().failures == 6
+    assert daemon.catch_up() == 3
+    assert (daemon.status().last_error, daemon.status().failures) == (None, 0)
+    assert stored(central_log) == stored(station_log)
+
+
+def test_nobody_listening_is_reported(make_daemon: MakeDaemon) -> None:
+    with pytest.raises(CentralUnreachable, match=r"central at http://127.0.0.1:1 cannot be reached"):
+        make_daemon(address="http://127.0.0.1:1").catch_up()
+
+
+def test_a_page_of_a_proxy_is_told_as_such(daemon: Daemon, faults: Faults) -> None:
+    daemon.step()
+    faults.next = "page of a proxy"
+
+    step = daemon.step()
+
+    assert isinstance(step.error, BadAnswer)
+    assert "is not ViAn's central" in str(step.error)
+    assert "curl" in str(step.error)
+
+
+@pytest.mark.parametrize(
+    "answer, error, words",
+    [
+        (Response("<h1>Bad Gateway</h1>", 502), CentralFailed, "Bad Gateway"),
+        (Response("", 307, {"location": "https://login.example/"}), BadAnswer, "https://login.example/"),
+        (Response("<h1>Request Entity Too Large</h1>", 413), BadAnswer, "client_max_body_size"),
+        (Response("Basic realm", 401), NotAuthorised, "Authorization header"),
+        (Response('{"detail":"Not Found"}', 404), BadAnswer, "Not Found"),
+        (Response("x" * 5_000_000, 200), BadAnswer, "more than 4194304 bytes"),
+        (Response("\x1b[2Jevil\r\n" + "y" * 900, 400), BadAnswer, "?[2Jevil yyy"),
+        (Response('{"protocol": 9, "new": "shape"}', 200), ProtocolMismatch, "version 1 is spoken here, got version 9"),
+        (
+            Response('{"code":"protocol_version","error":"e","got":"g","wanted":"w","next":"upgrade"}', 400),
+            ProtocolMismatch,
+            "This station speaks version 1",
+        ),
+    ],
+)
+def test_what_is_not_centrals_answer_is_named(
+    answer: Response, error: type[Exception], words: str, make_daemon: MakeDaemon, serve: Serve
+) -> None:
+    app = FastAPI()
+    app.post("/sync/v1/hello")(lambda: answer)
+    daemon = make_daemon(address=serve(app))
+    daemon.step()
+
+    step = daemon.step()
+
+    assert type(step.error) is error
+    assert words in str(step.error)
+    assert str(step.error).isprintable()
+
+
+def test_a_hello_without_all_cursors_is_no_answer(make_daemon: MakeDaemon, serve: Serve) -> None:
+    app = FastAPI()
+    answer = {
+        "protocol": 1,
+        "program": "vian/9",
+        "station": "brno-2",
+        "time": "2026-05-01T12:00:00Z",
+        "cursors": [],
+        "body_bytes_max": 1000,
+        "segments_max": 10,
+    }
+    app.post("/sync/v1/hello")(lambda: answer)
+
+    with pytest.raises(BadAnswer, match=r"no cursor for brno-2/sync/sync_planned"):
+        make_daemon(address=serve(app)).catch_up()
+
+
+@pytest.mark.parametrize("answer", ['{"cursors":[],"stored":1,"duplicates":0}', '{"stored":1}'])
+def test_an_acknowledgement_without_a_cursor_is_doubted(
+    answer: str, central_log: Log, make_daemon: MakeDaemon, serve: Serve
+) -> None:
+    app = FastAPI()
+    app.post("/sync/v1/segments")(lambda: Response(answer, 200, media_type="application/json"))
+    app.mount("/", central_app(central_log))
+    daemon = make_daemon(address=serve(app))
+    steps(daemon, 2)
+
+    assert isinstance(daemon.step().error, BadAnswer)
+    assert daemon.status().streams[0].cursor is None  # what central holds is in doubt: hello again
+    assert daemon.step().did == "hello"
+
+
+def test_a_refusal_is_followed_by_a_hello(station_log: Log, central_log: Log, daemon: Daemon, faults: Faults) -> None:
+    append_points(station_log, stream_of(), [2])
+    steps(daemon, 2)
+    faults.next, faults.where = "truncated request", 0.9
+
+    refused = daemon.step()
+
+    assert isinstance(refused.error, Refused)
+    assert refused.error.code == "bad_body"
+    assert "breaks off" in str(refused.error)
+    assert steps(daemon, 3) == ["hello", "sent", "nothing"]
+    assert stored(central_log) == stored(station_log)
+
+
+def test_central_set_back_to_an_older_backup_gets_all_again(
+    station_log: Log, make_log: type[Log], make_daemon: MakeDaemon, serve: Serve
+) -> None:
+    before, after = make_log(), make_log()
+    app = FastAPI()
+    app.mount("/", central_app(before))
+    append_points(station_log, stream_of(), [2, 2])
+    daemon = make_daemon(address=serve(app))
+    daemon.catch_up()
+    app.router.routes.clear()
+    app.mount("/", central_app(after))
+    append_points(station_log, stream_of(), [2])
+
+    gap = daemon.step()
+
+    assert isinstance(gap.error, Refused)
+    assert (gap.error.code, gap.error.first_sequence) == ("gap", 5)
+    daemon.catch_up()
+    assert stored(after) == stored(station_log)
+
+
+def test_a_station_with_another_history_is_stopped_with_both_hashes(
+    station_log: Log, central_log: Log, make_log: type[Log], make_daemon: MakeDaemon
+) -> None:
+    append_points(station_log, stream_of(), [3])
+    append_points(station_log, stream_of("yard"), [3])
+    make_daemon().catch_up()
+    before = stored(central_log)
+    re_imaged = make_log()
+    append_points(re_imaged, stream_of(), [1, 2])
+    append_points(re_imaged, stream_of("yard"), [3])
+    daemon = make_daemon(log=re_imaged)
+    steps(daemon, 2)
+
+    step = daemon.step()
+
+    assert step.did == "stopped"
+    assert isinstance(step.error, HeadsDisagree)
+    for part in ("brno-2/gate/track_point", "sequence 3", "Next: vian verify"):
+        assert part in str(step.error)
+    assert re_imaged.stream_head(stream_of()).chain_hash.hex() in str(step.error)
+    assert station_log.stream_head(stream_of()).chain_hash.hex() in str(step.error)
+    assert daemon.catch_up() == 0  # yard is the same on both; the plan's stream too
+    assert stored(central_log) == before
+
+
+@pytest.mark.parametrize(
+    "counts, here",
+    [([2], "no segment ends there"), ([2, 2], "no segment ends there"), ([1, 2, 1], "the chain hash here is")],
+)
+def test_another_history_is_found_wherever_central_stands(
+    counts: list[int], here: str, station_log: Log, make_log: type[Log], make_daemon: MakeDaemon
+) -> None:
+    append_points(station_log, stream_of(), [3])
+    make_daemon().catch_up()
+    re_imaged = make_log()
+    append_points(re_imaged, stream_of(), counts)
+
+    with pytest.raises(HeadsDisagree, match=here) as raised:
+        make_daemon(log=re_imaged).catch_up()
+    assert raised.value.sequence == 3
+
+
+def test_other_streams_go_on_when_one_is_stopped(
+    station_log: Log, central_log: Log, make_log: type[Log], make_daemon: MakeDaemon
+) -> None:
+    append_points(station_log, stream_of(), [3])
+    make_daemon().catch_up()
+    re_imaged = make_log()
+    append_points(re_imaged, stream_of(), [1, 2, 7])
+    append_points(re_imaged, stream_of("yard"), [5])
+    daemon = make_daemon(log=re_imaged)
+
+    with pytest.raises(HeadsDisagree):
+        daemon.catch_up()
+    daemon.catch_up()
+
+    assert stored(central_log)["brno-2/yard/track_point"] == stored(re_imaged)["brno-2/yard/track_point"]
+    status = {s.stream.source: s for s in daemon.status().streams}
+    assert (status["gate"].backlog, status["yard"].backlog) == (7, 0)
+    assert "is stopped" in (daemon.status().last_error or "")
+
+
+DAMAGES = {
+    "update segments set payload = set_byte(payload, 9, get_byte(payload, 9) # 1) where first_sequence = 4": "hash",
+    "update segments set producer_version = '2' where first_sequence = 4": "its chain hash does not follow",
+    "update segments set first_sequence = 5 where first_sequence = 4": "must begin at 4",
+    "update segments set time_min = time_max + interval '1 s' where first_sequence = 4": "time_min",
+}
+
+
+@pytest.mark.parametrize("damage, words", DAMAGES.items(), ids=["payload", "header", "sequence", "impossible header"])
+def test_a_damaged_segment_stops_its_stream_before_it_travels(
+    damage: str, words: str, station_log: Log, central_log: Log, daemon: Daemon
+) -> None:
+    append_points(station_log, stream_of(), [3, 3])
+    append_points(station_log, stream_of("yard"), [3])
+    yard = stored(station_log)["brno-2/yard/track_point"]
+    with psycopg.connect(station_log.dsn) as connection:
+        connection.execute("set session_replication_role = replica")  # the owner's slip: past the trigger
+        connection.execute(damage + " and stream_id = (select id from streams where source = 'gate')")
+
+    with pytest.raises(Damaged, match=words) as raised:
+        daemon.catch_up()
+
+    assert "Next: vian verify" in str(raised.value)
+    daemon.catch_up()
+    assert stored(central_log)["brno-2/yard/track_point"] == yard
+    assert "brno-2/gate/track_point" not in stored(central_log)
+
+
+def test_a_segment_whose_header_lies_stops_its_stream_only(station_log: Log, central_log: Log, daemon: Daemon) -> None:
+    append_points(station_log, stream_of(), [3])
+    append_points(station_log, stream_of("yard"), [3])
+    (true,) = station_log.read(stream_of())
+    header = true.header
+    liar = Draft(
+        stream_of("liar"),
+        99,
+        header.schema_version,
+        header.time_min,
+        header.time_max,
+        PRODUCER,
+        true.payload,
+        true.payload_hash,
+    )
+    station_log.append([liar])
+    steps(daemon, 2)
+
+    step = daemon.step()
+
+    assert isinstance(step.error, Refused)
+    assert step.error.code == "false_header"
+    daemon.catch_up()
+    assert set(stored(central_log)) == {
+        "brno-2/gate/track_point",
+        "brno-2/yard/track_point",
+        "brno-2/sync/sync_planned",
+    }
+    assert "99 events" in str({s.stream.source: s.error for s in daemon.status().streams}["liar"])
+
+
+def test_the_stations_database_away_is_reported_and_survived(
+    station_log: Log, central_log: Log, make_daemon: MakeDaemon, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    append_points(station_log, stream_of(), [3])
+    daemon = make_daemon()
+    steps(daemon, 2)
+
+    def away() -> None:
+        raise LogUnavailable("the database is away")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(station_log, "streams", away)
+        assert isinstance(daemon.step().error, LogUnavailable)
+        patch.setattr(station_log, "revive", away)
+        assert isinstance(daemon.step().error, LogUnavailable)
+
+    assert steps(daemon, 3) == ["hello", "sent", "nothing"]
+    assert stored(central_log) == stored(station_log)
+
+
+def test_central_without_its_database_is_reported(central_log: Log, daemon: Daemon) -> None:
+    daemon.step()
+    central_log.close()
+
+    step = daemon.step()
+
+    assert isinstance(step.error, CentralFailed)
+    assert "central's database is away" in str(step.error)
+
+
+def test_a_header_newer_than_this_program_is_carried_all_the_same(
+    station_log: Log, central_log: Log, daemon: Daemon
+) -> None:
+    append_points(station_log, stream_of(), [3])
+    (known,) = station_log.read(stream_of())
+    header = known.header
+    newer = Draft(
+        stream_of(),
+        4,
+        77,
+        header.time_min,
+        header.time_max,
+        PRODUCER,
+        b"of the future",
+        hashlib.sha256(b"of the future").digest(),
+    )
+    station_log.append([newer], [3])
+
+    daemon.catch_up()
+
+    assert stored(central_log) == stored(station_log)
+
+
+def test_a_client_that_times_out_is_reported(station_log: Log, make_daemon: MakeDaemon, faults: Faults) -> None:
+    daemon = make_daemon()
+    daemon.step()
+    faults.next = "timeout after sending"
+
+    step = daemon.step()
+
+    assert isinstance(step.error, CentralUnreachable)
+    assert "gave no answer in time" in str(step.error)
+
+
+def test_an_address_without_a_scheme_is_reported(station_log: Log, make_daemon: MakeDaemon) -> None:
+    with httpx.Client(base_url="central.example") as client:
+        daemon = Daemon(
+            station_log, BRNO, EVERYTHING, client, token="sixteen-letters-x", now=lambda: NOON, random=lambda: 0.5
+        )
+        with pytest.raises(CentralUnreachable, match=r"http://"):
+            daemon.catch_up()

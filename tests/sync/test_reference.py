@@ -1,0 +1,58 @@
+"""docs/reference/sync.md says what the code does."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from sync import LANES, Pace, Plan
+from sync.wire import (
+    HEADER_BYTES_MAX,
+    PAYLOAD_BYTES_MAX,
+    PROTOCOL,
+    RECORD_BYTES_MAX,
+    SEGMENTS_MAX,
+    STREAMS_MAX,
+    Hello,
+    HelloAnswer,
+    Problem,
+    SegmentsAnswer,
+    StreamState,
+)
+
+ROOT = Path(__file__).parents[2]
+TEXT = (ROOT / "docs/reference/sync.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    "number", [HEADER_BYTES_MAX, PAYLOAD_BYTES_MAX, RECORD_BYTES_MAX, SEGMENTS_MAX, STREAMS_MAX], ids=str
+)
+def test_each_limit_is_told(number: int) -> None:
+    assert f"{number:,}" in TEXT
+
+
+def test_each_key_of_each_message_is_told() -> None:
+    for message in (StreamState, Hello, HelloAnswer, SegmentsAnswer, Problem):
+        assert [name for name in message.model_fields if f"`{name}`" not in TEXT] == []
+
+
+def test_each_problem_is_told() -> None:
+    sources = "".join((ROOT / "sync" / name).read_text(encoding="utf-8") for name in ("apply.py", "central.py"))
+    refusals = re.findall(r'(?:Refusal\(\s*\d+,\s*|_corrupt\(segment, |code, first = )"(\w+)"', sources)
+    codes = {*refusals, "false_header", "bad_header", "other_history", "other_bytes"}
+
+    assert len(codes) > 12
+    assert {code for code in codes if f"`{code}`" not in TEXT} == set()
+
+
+def test_the_plan_shown_is_one() -> None:
+    (example,) = re.findall(r"```yaml\n(.*?)```", TEXT, re.DOTALL)
+
+    assert [entry.priority for entry in Plan.parse(example).entries] == [LANES["situations"], 25]
+    assert all(re.search(rf"\| `{name}`[^|]*\| {number} \|", TEXT) for name, number in LANES.items())
+
+
+def test_version_and_pace_are_told() -> None:
+    assert TEXT.startswith(f"# The sync protocol, version {PROTOCOL}\n")
+    assert f"{Pace().request_bytes // 1024} KiB" in TEXT
+    assert f"{Pace().backoff_s:g} s, doubles with each failure up to {Pace().backoff_s_max:g} s" in TEXT
