@@ -10,7 +10,6 @@ import csv
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
-from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
@@ -147,13 +146,12 @@ def _plain(value: Any) -> str:
 
 
 def _csv_records(rule: Rule, index: int, name: str) -> Iterable[Mapping[str, Any]]:
-    folder = rule.path.parent if rule.path is not None else Path()
     try:
-        with (folder / name).open(newline="", encoding="utf-8") as file:
+        with (rule.folder / name).open(newline="", encoding="utf-8") as file:
             records = list(csv.DictReader(file))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         passage = rule.passage("tests", index, "given")
-        raise passage.error(f"cannot read {folder / name}: {error}", 0) from error
+        raise passage.error(f"cannot read {rule.folder / name}: {error}", 0) from error
     return [{key: value for key, value in record.items() if value != ""} for record in records]
 
 

@@ -113,6 +113,7 @@ class Rule(_Frozen):
     tests: tuple[Case, ...] = ()
 
     _path: Path | None = PrivateAttr(default=None)
+    _folder: Path = PrivateAttr(default=Path())
     _passages: Mapping[tuple[str, ...], Passage] = PrivateAttr(default_factory=dict)
 
     @model_validator(mode="after")
@@ -124,8 +125,13 @@ class Rule(_Frozen):
 
     @property
     def path(self) -> Path | None:
-        """The file that the rule was loaded from."""
+        """The file that says this rule; None if it was made in a program, or changed since it was loaded."""
         return self._path
+
+    @property
+    def folder(self) -> Path:
+        """Where the files that the rule's tests name lie."""
+        return self._folder
 
     @property
     def hash(self) -> str:
@@ -180,6 +186,7 @@ class Rule(_Frozen):
         """The rule, knowing where in which file each of its values stands."""
         copy = self.model_copy()
         copy._path = path
+        copy._folder = path.parent if path is not None else Path()
         copy._passages = passages
         return copy
 
@@ -188,7 +195,10 @@ class Rule(_Frozen):
         if unknown:
             have = ", ".join(sorted(old)) or "none"
             raise ValueError(f"rule {self.rule} has no {field[:-1]} {unknown[0]!r}; it has: {have}")
-        return self.model_copy(update={field: {**old, **new}})
+        changed = self.model_copy(update={field: {**old, **new}})
+        if new:
+            changed._path = None
+        return changed
 
     def _canonical(self) -> str:
         fields = self.model_dump(include=_MEANING)

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from patterns import BoundRule, Match, RuleRun, bind, match
-from tests.patterns.samples import SCHEMAS, letter_rows, letter_rule
+from tests.patterns.samples import SCHEMAS, define_letters, letter_rows, letter_rule
 
 LATENESS_US = 4
 MORE = f"time: {{lateness: {LATENESS_US} us}}"
@@ -23,6 +23,7 @@ RULES = {
     ),
     "to last": letter_rule("X Y", "Y AS n > PREV(n)", "Y.n - X.n AS rise", skip="TO LAST Y", more=MORE),
     "looking back": letter_rule("A", "A AS letter <> PREV(letter, 2)", "PREV(A.letter) AS before", more=MORE),
+    "one back": letter_rule("A", "A AS n > PREV(n)", "PREV(A.n) AS n", more=MORE),
     "remembering": letter_rule(
         "A B* C", "B AS n >= A.n, C AS n < FIRST(A.n) AND COUNT(B.*) > 0", "FIRST(B.n) AS n", more=MORE
     ),
@@ -48,7 +49,7 @@ def records(draw: st.DrawFn) -> list[Record]:
     rows = draw(
         st.lists(
             st.tuples(
-                st.integers(0, 3),
+                st.sampled_from([0, 1, 1, 2, 3, 9]),
                 st.integers(0, 1),
                 st.sampled_from("abc"),
                 st.one_of(st.none(), st.integers(0, 3)),
@@ -206,6 +207,39 @@ def test_a_match_that_time_decides_is_found_without_another_row_of_its_partition
     assert found.decided_at is not None
     assert (found.decided_at - found.first.time).total_seconds() == 5
     assert run.partitions_open == 0
+
+
+def test_a_cooldown_lasts_over_pushes_and_restarts() -> None:
+    more = "time: {lateness: 0 s}\nemit: {cooldown: 10 s}"
+    bound = bind(letter_rule("A", "A AS letter = 'a'", more=more), SCHEMAS)
+    found: list[int] = []
+    run = RuleRun(bound)
+    for second in range(0, 40, 3):
+        found += [match.first.sequence for match in _push(run, _row(second, "a"))]
+        state = run.state()
+        run = RuleRun(bound)
+        run.restore(state)
+    assert found == [0, 12, 24, 36]
+
+
+def test_a_row_before_the_match_is_remembered_for_prev() -> None:
+    bound = bind(letter_rule("A", "A AS n > PREV(n)", more="time: {lateness: 0 s}"), SCHEMAS)
+    run = RuleRun(bound)
+    found: list[int] = []
+    for second, n in enumerate([1, 2, 2, 3, 0]):
+        found += [match.first.sequence for match in _push(run, {**_row(second), "n": n})]
+    assert found == [1, 3]
+
+
+def test_matches_leave_in_the_order_in_which_they_were_decided() -> None:
+    # At 5 s time itself decides the match of key 1, before the row of 5 s decides that of key 2.
+    more = "time: {lateness: 0 s}"
+    rule = letter_rule("A+ B?", define_letters("AB"), within="INTERVAL '5' SECOND", more=more)
+    bound = bind(rule, SCHEMAS)
+    rows = [_row(0, "a", key=1), _row(4, "a", key=2), _row(5, "b", key=2), _row(6, "c", key=3)]
+    assert [found.partition["key"] for found in match(bound, letter_rows(rows))] == [1, 2]
+    run = RuleRun(bound)
+    assert [found.partition["key"] for row in rows for found in _push(run, row)] == [1, 2]
 
 
 def test_partitions_with_nothing_open_are_forgotten() -> None:

@@ -152,6 +152,19 @@ def test_many_starts_of_one_hopeless_pattern_share_their_threads() -> None:
 
 
 def test_the_shared_thread_does_not_outlive_the_start_that_it_stands_for() -> None:
-    # Start 0 settles for rows 0 to 1 and so covers start 1, while start 2 must still be found.
-    rule = letter_rule("A B (X* D)? | B C* E | C C* E", define_letters("ABCDE"))
-    assert spans(match(bind(rule, SCHEMAS), letters("abcce"))) == [(0, 1), (2, 4)]
+    # Start 0 waits in vain; start 1 settles for rows 1 to 2 and so covers start 2, while start 3,
+    # whose thread is equal to that of start 2, must still be found.
+    rule = letter_rule("F X* G | A B (X* D)? | (B | C) C* E", define_letters("ABCDEFG"))
+    assert spans(match(bind(rule, SCHEMAS), letters("fabccce"))) == [(1, 2), (3, 6)]
+
+
+def test_starts_do_not_share_threads_that_end_at_different_times() -> None:
+    rule = letter_rule("A X* B", define_letters("AB"), within="INTERVAL '4' SECOND")
+    assert spans(match(bind(rule, SCHEMAS), letters("aaxxb"))) == [(1, 4)]
+
+
+def test_threads_that_remember_different_things_are_not_one() -> None:
+    # What C asks of A is not asked at the row after A, but must be remembered until then.
+    rule = letter_rule("A+ X C", "A AS letter = 'a', X AS letter = 'x', C AS n = FIRST(A.n)")
+    rows = letters("aaaxc", numbers=[1, 2, 3, 0, 2])
+    assert spans(match(bind(rule, SCHEMAS), rows)) == [(1, 4)]

@@ -179,6 +179,10 @@ def test_zones_lines_and_params_can_be_replaced_by_name() -> None:
     assert changed.params["many"] == 3
     assert changed.hash != rule.hash
     assert rule.zones["yard"].source == "cam-07"
+    rule = rule.loaded_from(Path("rules/yard.yaml"), {})
+    assert (rule.path, rule.folder) == (Path("rules/yard.yaml"), Path("rules"))
+    assert (rule.with_zones({"yard": zone}).path, rule.with_zones({"yard": zone}).folder) == (None, Path("rules"))
+    assert rule.with_zones({}).path == rule.path
     for change in (rule.with_zones, rule.with_lines, rule.with_params):
         with pytest.raises(ValueError, match=r"has no \w+ 'garden'; it has: "):
             change({"garden": zone})  # type: ignore[operator]
