@@ -33,7 +33,7 @@ from tests.sync.conftest import (
 
 ROOT = Path(__file__).parents[2]
 SOURCES = ("gate", "yard", "dock")
-EXAMPLES = 30
+EXAMPLES = 20
 
 
 def token_of(station: Station) -> str:
