@@ -62,15 +62,20 @@ def _unused(bound: BoundRule) -> list[Finding]:
 
 def _unbounded(bound: BoundRule) -> list[Finding]:
     """Rules that may remember a partition for ever."""
+    findings = []
+    emit = bound.rule.emit
+    if emit.once_per is not None and emit.cooldown is None:
+        message = "once_per without cooldown remembers every key for good"
+        findings.append(_warning(bound.rule, message, "emit", "once_per"))
     at = parse(bound.rule.passage("match")).pattern_at
     place = bound.rule.passage("match").place(at)
     if bound.looks_back:
         message = "PREV looks at rows before the match, so a row of every partition is remembered for good"
-        return [Finding("warning", message, place)]
-    if bound.within_us is None:
+        findings.append(Finding("warning", message, place))
+    elif bound.within_us is None:
         message = "without WITHIN, a partial match of a partition that falls silent is remembered for good"
-        return [Finding("warning", message, place)]
-    return []
+        findings.append(Finding("warning", message, place))
+    return findings
 
 
 def _unchecked(bound: BoundRule) -> list[Finding]:

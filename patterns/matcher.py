@@ -151,6 +151,7 @@ class Matcher:
 
     def __init__(self, machine: Machine) -> None:
         self.machine = machine
+        self.merges_starts = machine.merges_starts
 
     def run(self, partition: Partition, block: Block, begin: int, end: int) -> list[Found]:
         """The matches that the rows `begin` to `end` of the block, the partition's next, make final.
@@ -223,7 +224,7 @@ class Matcher:
         for a match that covers the former's start and not the latter's; `safe_until` is the first
         such end. Ends that are found from now on cover every start there is.
         """
-        shares = self.machine.merges_starts
+        shares = self.merges_starts
         seen: dict[Any, float] = {}
         ends: list[int] = []
         threads = 0

@@ -9,7 +9,7 @@ changes; each leaves once.
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import datetime
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -26,7 +26,7 @@ from patterns.geometry import FrameSize
 from patterns.matcher import Found
 from patterns.rows import SEQUENCE, STREAM, TIME, StreamNumbers, check_envelope, in_total_order, normalised
 from patterns.saved import Saved, decode, encode, partitions_from_json, partitions_to_json
-from patterns.situations import EventRef, Match, Narrator, as_microseconds, event_ref
+from patterns.situations import EventRef, Match, Narrator, as_microseconds, event_ref, nearest_time
 
 Rows: TypeAlias = pa.Table | pa.RecordBatch
 
@@ -95,7 +95,7 @@ class RuleRun:
     def watermark(self) -> datetime | None:
         """No row before this time is still expected; None: nothing is known yet."""
         watermark_us = self._clock.watermark_us
-        return None if watermark_us is None else datetime.fromtimestamp(watermark_us / 1e6, UTC)
+        return None if watermark_us is None else nearest_time(watermark_us)
 
     @property
     def held_back(self) -> int:
@@ -290,10 +290,12 @@ def _as_table(rows: Rows) -> pa.Table:
 def _newest_by_source(table: pa.Table) -> list[tuple[str, int]]:
     """For each source its newest time in microseconds."""
     times = table.column("time").cast(pa.timestamp("us", table.column("time").type.tz)).cast(pa.int64())
-    grouped = (
-        pa.table({"source": table.column("source"), "time": times}).group_by("source").aggregate([("time", "max")])
-    )
-    return list(zip(grouped.column("source").to_pylist(), grouped.column("time_max").to_pylist(), strict=True))
+    sources = table.column("source")
+    newest = []
+    for source in sources.unique().to_pylist():
+        of_source = times.filter(pc.equal(sources, source))
+        newest.append((source, pc.max(of_source).as_py()))
+    return newest
 
 
 def _wall_us(now: datetime) -> int:

@@ -10,12 +10,15 @@ from typing import Any
 from patterns.bound import BoundRule, Output
 from patterns.columns import Places
 from patterns.durations import MICROSECOND
+from patterns.errors import MatchError
 from patterns.expressions import Kind
 from patterns.guards import Guard, compile_guard
 from patterns.matcher import Event, Found, runs
 from patterns.titles import Scalar, filled_title
 
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+_EARLIEST = datetime(1, 1, 1, tzinfo=UTC)
+_LATEST = datetime(9999, 12, 31, 23, 59, 59, 999_999, tzinfo=UTC)
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,7 +127,7 @@ class Narrator:
             measures=measures,
             first=first,
             last=last,
-            decided_at=None if found.decided_us is None else _time(found.decided_us),
+            decided_at=None if found.decided_us is None else nearest_time(found.decided_us),
             lineage=self._lineage(found),
             situation_id=situation_id(bound.rule.rule, bound.rule.version, key, first, last),
         )
@@ -153,8 +156,17 @@ def as_python(value: Any, kind: Kind) -> Scalar:
     return plain
 
 
+def nearest_time(microseconds: int) -> datetime:
+    """The time, or the first or last that there is: for bounds, such as the end of a WITHIN."""
+    earliest, latest = ((each - _EPOCH) // MICROSECOND for each in (_EARLIEST, _LATEST))
+    return _EPOCH + timedelta(microseconds=min(max(microseconds, earliest), latest))
+
+
 def _time(microseconds: int) -> datetime:
-    return _EPOCH + timedelta(microseconds=microseconds)
+    try:
+        return _EPOCH + timedelta(microseconds=microseconds)
+    except OverflowError as error:
+        raise MatchError(f"a time must lie in the years 1 to 9999, got {microseconds} us since 1970") from error
 
 
 def as_microseconds(value: Scalar) -> bool | int | float | str | None:

@@ -64,6 +64,13 @@ def test_check_warns_of_what_is_unused_or_unbounded() -> None:
         assert any(part in message for message in messages), part
 
 
+def test_check_warns_of_keys_that_are_kept_for_good() -> None:
+    text = HEAD.replace("severity: info", "severity: info\nemit: {once_per: [key]}")
+    rule = parse_rule(text + f"  {BEGINNING}  PATTERN (A B) WITHIN :dwell)\n")
+    (finding,) = [each for each in check(rule, SCHEMAS) if "every key" in each.message]
+    assert (finding.place.line, finding.place.column) == (5, 18)
+
+
 def test_check_warns_of_rows_that_are_kept_for_good() -> None:
     rule = parse_rule(HEAD + f"  {BEGINNING}  PATTERN (A B) WITHIN :dwell DEFINE A AS n > PREV(n))\n")
     assert any("a row of every partition is remembered" in finding.message for finding in check(rule, SCHEMAS))

@@ -139,6 +139,14 @@ def test_more_partial_matches_than_the_limit_is_an_error_that_names_it() -> None
     assert spans(match(bound, letters("a" * 20 + "b"))) == [(0, 20)]
 
 
+def test_more_row_local_conditions_than_a_word_has_bits_is_an_error() -> None:
+    rule = letter_rule("A", "A AS " + " AND ".join(f"n <> {number}" for number in range(64)))
+    with pytest.raises(RuleError, match="more than 63 different row-local conditions"):
+        bind(rule, SCHEMAS)
+    same = letter_rule("A", "A AS " + " AND ".join(["n <> 1"] * 64))
+    assert len(bind(same, SCHEMAS).predicates) == 1
+
+
 def test_more_partitions_than_the_limit_is_an_error_that_names_it() -> None:
     bound = bind(letter_rule("A B", define_letters("AB"), partition="n"), SCHEMAS, limits=Limits(partitions=5))
     with pytest.raises(LimitError, match="the limit `partitions` is 5"):

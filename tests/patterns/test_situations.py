@@ -131,5 +131,24 @@ def test_dictionaries_and_other_units_of_time_are_read() -> None:
     assert found.last.time == BEGINNING + timedelta(seconds=1)
 
 
+def test_times_at_the_ends_of_the_calendar() -> None:
+    rule = letter_rule("A+", within="INTERVAL '1' DAY")
+    rows = letters("ab")
+    end = datetime(9999, 12, 31, 23, 59, 59, 999_999, UTC)
+    last = rows.set_column(0, "time", [pa.array([end] * 2, pa.timestamp("us", "UTC"))])
+    (found,) = match(bind(rule, SCHEMAS), last)
+    assert found.decided_at == found.last.time == end
+    beyond = rows.set_column(0, "time", [pa.array([2**60, 2**62]).cast(pa.timestamp("us", "UTC"))])
+    with pytest.raises(MatchError, match="years 1 to 9999"):
+        match(bind(rule, SCHEMAS), beyond)
+
+
+def test_a_lateness_longer_than_history_holds_everything() -> None:
+    run = RuleRun(bind(letter_rule("A", more="time: {lateness: 999999999 d}"), SCHEMAS))
+    assert run.push(letters("abc")).matches == ()
+    assert run.watermark == datetime(1, 1, 1, tzinfo=UTC)
+    assert len(run.finish().matches) == 3
+
+
 def test_no_rows_give_no_situations() -> None:
     assert match(bind(letter_rule("A"), SCHEMAS), letters("")) == []
