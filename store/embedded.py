@@ -8,6 +8,7 @@ The wheel's own start-up cannot be interrupted safely (a killed initdb leaves a 
 looks initialised), so initdb runs in a directory beside the final one, which is then renamed.
 """
 
+import atexit
 import fcntl
 import logging
 import os
@@ -67,10 +68,14 @@ class EmbeddedServer:
             server = get_server(pgdata, start=False, postgres_version=MAJOR)
             # The wheel's own lock file is one for the whole machine, which a second user may not open.
             server._lock = type(server._lock)(self.data_dir / "pg.users.lock")
-            with _explained(f"PostgreSQL does not start in {pgdata}", pgdata):
-                with server._lock:
-                    _forget_the_dead(pgdata)
-                _start(server)
+            try:
+                with _explained(f"PostgreSQL does not start in {pgdata}", pgdata):
+                    with server._lock:
+                        _forget_the_dead(pgdata)
+                    _start(server)
+            except BaseException:
+                _forget_if_unused(server)
+                raise
             if self._server is not server:
                 server.__enter__()
             self._server = server
@@ -80,6 +85,13 @@ class EmbeddedServer:
         server, self._server = self._server, None
         if server is not None:
             server.__exit__(None, None, None)
+            _forget_if_unused(server)
+
+
+def _forget_if_unused(server: PostgresServer) -> None:
+    """Keep the wheel from coming back to the directory at the program's end, when it may be gone."""
+    if server._count <= 0:
+        atexit.unregister(server._cleanup)
 
 
 def _start(server: PostgresServer) -> None:
@@ -129,17 +141,25 @@ def _initialise(pgdata: Path) -> None:
 def _forget_the_dead(pgdata: Path) -> None:
     """Drop what killed processes left behind.
 
-    That is their place in the list of users, so that the last one stops the server, and the pid file
+    That is their place in the list of users, so that the last one stops the server, and the lock files
     of a server whose number another process bears now, as is usual when a container starts again.
     """
-    pid_file = pgdata / "postmaster.pid"
-    if pid_file.exists() and not _is_server(pid_file.read_text().split("\n", 1)[0], pgdata):
-        pid_file.unlink()
+    for lock_file in _server_lock_files(pgdata):
+        if lock_file.exists() and not _is_server(lock_file.read_text().split("\n", 1)[0], pgdata):
+            lock_file.unlink()
     users = DiskList(pgdata / ".handle_pids.json")
     with suppress(ValueError):  # a list torn by a kill is as good as an empty one
         users.put([pid for pid in users._get() if psutil.pid_exists(pid)])
         return
     users.put([])
+
+
+def _server_lock_files(pgdata: Path) -> list[Path]:
+    """The files by which a server, running or killed, claims its directory and its socket."""
+    pid_file = pgdata / "postmaster.pid"
+    lines = pid_file.read_text().splitlines() if pid_file.exists() else []
+    folders = {pgdata, *(Path(line) for line in lines[4:5] if line)}
+    return [pid_file, *(found for folder in folders for found in folder.glob(".s.PGSQL.*.lock"))]
 
 
 def _is_server(pid: str, pgdata: Path) -> bool:
@@ -192,7 +212,5 @@ def _explained(what: str, pgdata: Path) -> Iterator[None]:
 
 def _last_words(text: str) -> str:
     lines = [line.strip() for line in text.splitlines()]
-    telling = [
-        line for line in lines if any(mark in line for mark in ("FATAL", "PANIC", "error:", "ERROR", "could not"))
-    ]
-    return "; ".join(telling[-3:])
+    marks = ("FATAL", "PANIC", "error: ", "ERROR", "could not", "No space left")
+    return "; ".join([line for line in lines if any(mark in line for mark in marks)][-3:])

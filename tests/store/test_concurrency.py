@@ -8,7 +8,7 @@ from tests.store.samples import GATE, append, on_both, query
 from tests.store.writers import SHARED, append_and_wait, append_many, frame, own_stream, started
 
 WRITERS = 4
-EVENTS = 600
+EVENTS = 400
 """Events that each writer appends to a stream of its own, and again to the shared one."""
 
 
