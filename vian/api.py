@@ -10,8 +10,9 @@ from contextlib import contextmanager
 
 import uvicorn
 from fastapi import FastAPI
+from fastapi.responses import JSONResponse
 
-from store import Log
+from store import Log, LogUnavailable
 from sync.central import router
 from sync.grants import Grants
 from vian.errors import WorldFailed
@@ -24,10 +25,13 @@ def create_app(log: Log, grants: Grants | None) -> FastAPI:
     """The application over a log; with grants it takes stations' segments."""
     app = FastAPI(title="ViAn", version=VERSION)
 
-    @app.get("/health")
-    def health() -> dict[str, object]:
+    @app.get("/health", responses={503: {"description": "the database is away"}})
+    def health() -> JSONResponse:
         """Whether the log answers, and where it stands."""
-        return {"status": "ok", "version": VERSION, "position": log.head()}
+        try:
+            return JSONResponse({"status": "ok", "version": VERSION, "position": log.head()})
+        except LogUnavailable:
+            return JSONResponse({"status": "the database is away", "version": VERSION}, status_code=503)
 
     if grants is not None:
         app.include_router(router(log, grants))
@@ -40,7 +44,9 @@ def bind(host: str, port: int) -> socket.socket:
     Raises:
         WorldFailed: The port is taken, or the address is not one of this machine's.
     """
-    listening = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET, socket.SOCK_STREAM)
+    listening = socket.socket(
+        socket.AF_INET6 if ":" in host else socket.AF_INET, socket.SOCK_STREAM, socket.IPPROTO_TCP
+    )
     listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         listening.bind((host, port))

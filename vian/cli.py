@@ -1,15 +1,18 @@
 """The command `vian`: which commands there are, and what an error looks like.
 
-Exit codes: 0 done; 1 the world failed; 2 wrong usage; 130 interrupted with Ctrl-C (what was stored
-stays; the same command goes on where it stopped).
+Exit codes: 0 done; 1 the world failed; 2 wrong usage; 130 interrupted with Ctrl-C or SIGTERM (what
+was stored stays; the same command goes on where it stopped).
 """
 
 import os
+import signal
 import sys
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from rich.console import Console
+from rich.text import Text
+from typer.core import TyperGroup
 
 from vian import logs
 from vian.commands import demo, doctor, extract, log, query, rules, serve, station, sync
@@ -18,8 +21,32 @@ from vian.version import VERSION
 
 INTERRUPTED = 130
 
+
+class Commands(TyperGroup):
+    """The commands, whose expected errors become one line and an exit code.
+
+    Here and not around `app()`, because Typer answers an interrupt and a broken pipe itself there.
+    """
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command that was named."""
+        try:
+            return super().invoke(ctx)
+        except EXPECTED as error:
+            _tell(str(error))
+            raise typer.Exit(exit_code(error)) from error
+        except BrokenPipeError as error:
+            # The reader of our output has gone (`vian tail | head`): leave quietly.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            raise typer.Exit from error
+        except KeyboardInterrupt as error:
+            _tell("interrupted; what was stored stays, and the same command goes on where it stopped")
+            raise typer.Exit(INTERRUPTED) from error
+
+
 app = typer.Typer(
     name="vian",
+    cls=Commands,
     help="ViAn: the event-sourced metadata store for video with an online situation-pattern engine.",
     epilog="Begin with: vian demo",
     no_args_is_help=True,
@@ -52,24 +79,10 @@ def root(
 
 def main() -> None:
     """Run the command line and leave with its exit code."""
-    try:
-        app(standalone_mode=True)
-    except EXPECTED as error:
-        _tell(str(error))
-        sys.exit(exit_code(error))
-    except BrokenPipeError:
-        # The reader of our output has gone (`vian tail | head`): leave quietly.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        sys.exit(0)
-    except KeyboardInterrupt:
-        _tell("interrupted; what was stored stays, and the same command goes on where it stopped")
-        sys.exit(INTERRUPTED)
+    # Services are ended with SIGTERM: it shall end a command like Ctrl-C, so that an embedded PostgreSQL stops too.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    app()
 
 
 def _tell(text: str) -> None:
-    Console(stderr=True, soft_wrap=True, highlight=False).print(f"[bold red]error:[/] {_literal(text)}")
-
-
-def _literal(text: str) -> str:
-    """The text with Rich's markup taken literally."""
-    return text.replace("[", r"\[")
+    Console(stderr=True, soft_wrap=True, highlight=False).print(Text.assemble(("error: ", "bold red"), text))

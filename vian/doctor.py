@@ -15,9 +15,10 @@ from enum import StrEnum
 from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 
-from store import Log
+from store import Log, StoreError
 from store.embedded import MAJOR
 from store.projector import NAME as PROJECTOR
+from vian.options import has_log
 from vian.settings import Settings, config_file
 from vian.version import VERSION
 
@@ -57,7 +58,7 @@ def examine(settings: Settings, open_existing: Callable[[], Log]) -> Iterator[Fi
     yield from _packages()
     if settings.dsn is None:
         yield from _data_dir(settings.data_dir)
-        if not (settings.data_dir / "pg" / "PG_VERSION").exists():
+        if not has_log(settings.data_dir):
             yield Finding(
                 "log", Verdict.NOTE, f"no log in {settings.data_dir} yet; vian demo or vian extract makes one"
             )
@@ -105,8 +106,8 @@ def _overwritten() -> Iterator[str]:
 
 
 def _data_dir(data_dir: Path) -> Iterator[Finding]:
-    existing = next(folder for folder in (data_dir, *data_dir.parents) if folder.exists())
     try:
+        existing = next(folder for folder in (data_dir, *data_dir.parents) if folder.exists())
         with tempfile.TemporaryFile(dir=existing):
             pass
     except OSError as error:
@@ -124,6 +125,13 @@ def _data_dir(data_dir: Path) -> Iterator[Finding]:
 
 
 def _log(open_existing: Callable[[], Log]) -> Iterator[Finding]:
+    try:
+        yield from _log_found(open_existing)
+    except StoreError as error:
+        yield Finding("log", Verdict.BAD, str(error))
+
+
+def _log_found(open_existing: Callable[[], Log]) -> Iterator[Finding]:
     with open_existing() as log:
         head = log.head()
         yield Finding("log", Verdict.OK, f"{len(log.streams())} streams, {head} segments, epoch {log.epoch}")

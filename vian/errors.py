@@ -13,7 +13,7 @@ from events import EventError, InvalidName
 from extractors.errors import ExtractorError
 from patterns.errors import PatternError
 from store import BadRequest, StoreError
-from sync.errors import SyncError
+from sync.errors import GrantError, PlanError, SyncError
 
 
 class ExitCode(IntEnum):
@@ -39,7 +39,7 @@ class WrongUsage(VianError):
 EXPECTED = (VianError, EventError, StoreError, ExtractorError, PatternError, SyncError)
 """Errors that are told in one line; any other is a defect and shows its traceback."""
 
-_USAGE = (WrongUsage, InvalidName, BadRequest, PatternError)
+_USAGE = (WrongUsage, InvalidName, BadRequest, PatternError, PlanError, GrantError)
 
 
 def exit_code(error: BaseException) -> ExitCode:

@@ -8,7 +8,7 @@ events; run again after its end it does nothing. What an extractor said before a
 
 import hashlib
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -29,12 +29,15 @@ from events import (
     decode,
     encode,
     events_of,
+    source_name,
+    station_name,
 )
 from extractors import motion, video
 from extractors.errors import ExtractorError
 from extractors.media import VideoInfo
-from store import Appender, Log
-from vian.errors import WorldFailed
+from store import Appender, Log, SequenceConflict
+from vian.errors import WorldFailed, WrongUsage
+from vian.exclusive import exclusively
 
 E = TypeVar("E", bound=EventType)
 
@@ -103,16 +106,25 @@ def extract_motion(job: Job) -> Extraction:
     """Run motion detection and tracking on the job's video, or go on with it.
 
     Raises:
+        InvalidName: The station or the source cannot be one.
         ExtractorError: The video cannot be read, or the extractor stopped; recorded as
             `process_failed` if the process had started.
-        WorldFailed: The process failed in an earlier run.
+        WrongUsage: The log knows the video with another start.
+        WorldFailed: The process failed in an earlier run, or another one is at work on the source.
         LogUnavailable: The database stayed away.
     """
+    station_name(job.station), source_name(job.source)
     info = video.probe(job.path)
+    with exclusively(job.log, f"source {job.source} of station {job.station}"):
+        return _extract(job, info)
+
+
+def _extract(job: Job, info: VideoInfo) -> Extraction:
     added = _added(job, info)
     process = process_name(job, added.video)
     begun = _find(job, ProcessStarted, process)
     if begun is None:
+        _give_up_unfinished(job, added, process)
         begun = _start(job, added, process)
     elif finished := _find(job, ProcessFinished, process):
         done = finished[0]
@@ -165,6 +177,11 @@ class _Run:
         except ExtractorError as error:
             self._say(ProcessFailed(**self._state(), error=str(error)))
             raise
+        except SequenceConflict as error:
+            raise WorldFailed(
+                f"somebody else appends to source {self._job.source}: {error}. What this process stored stays. "
+                "Next: give each extraction a source of its own, then run this again"
+            ) from error
         self._say(ProcessFinished(**self._state(), gaps=self._gaps))
         return Extraction(
             self._process, self._job.source, self._added, self._frames, self._events, self._gaps, was_done=False
@@ -223,9 +240,11 @@ def _added(job: Job, info: VideoInfo) -> VideoAdded:
     """The video as the log knows it; made known now if it was not."""
     known = _find(job, VideoAdded, info.sha256)
     if known is not None:
+        _check_start(job, known[0])
         return known[0]
+    started_at = _started_at(job, info)
     event = VideoAdded(
-        time=job.stamp(_started_at(job, info)),
+        time=job.stamp(started_at),
         video=info.sha256,
         path=str(job.path),
         width=info.width,
@@ -233,10 +252,19 @@ def _added(job: Job, info: VideoInfo) -> VideoAdded:
         fps=info.fps,
         frames_expected=info.frames_expected,
         codec=info.codec,
-        started_at=_started_at(job, info),
+        started_at=started_at,
     )
     _append_first(job, event)
     return event
+
+
+def _check_start(job: Job, known: VideoAdded) -> None:
+    """Refuse a start that differs from the one in the log, from which all times there follow."""
+    if job.started_at not in (None, known.started_at):
+        raise WrongUsage(
+            f"source {job.source} has this video with the start {known.started_at.isoformat()}, got "
+            f"{job.started_at.isoformat()}. Next: leave --start out to keep it, or give another --source"
+        )
 
 
 def _started_at(job: Job, info: VideoInfo) -> datetime:
@@ -251,6 +279,24 @@ def _started_at(job: Job, info: VideoInfo) -> datetime:
         "Next time: --start TIME"
     )
     return modified
+
+
+def _give_up_unfinished(job: Job, added: VideoAdded, successor: str) -> None:
+    """Say of the source's process that is not at its end that it has none: what follows is another's."""
+    started = _newest(job, ProcessStarted)
+    if started is None or any(_find(job, end, started.process) for end in (ProcessFinished, ProcessFailed)):
+        return
+    progress = _find(job, ProcessProgressed, started.process)
+    frames, events = (progress[0].frames, progress[0].events) if progress else (0, 0)
+    job.note(f"process {started.process} on source {job.source} was left unfinished and is given up")
+    event = ProcessFailed(
+        time=job.stamp(added.started_at),
+        process=started.process,
+        frames=frames,
+        events=events,
+        error=f"given up: it was not at its end when process {successor} began",
+    )
+    _append_first(job, event)
 
 
 def _start(job: Job, added: VideoAdded, process: str) -> tuple[ProcessStarted, int]:
@@ -276,11 +322,25 @@ def _find(job: Job, event_type: type[E], subject: str) -> tuple[E, int] | None:
     """The newest event of the source about the subject, and its position."""
     assert event_type.subject_field is not None
     found = None
+    for event, position in _said(job, event_type):
+        if getattr(event, event_type.subject_field) == subject:
+            found = event, position
+    return found
+
+
+def _newest(job: Job, event_type: type[E]) -> E | None:
+    newest = None
+    for event, _ in _said(job, event_type):
+        newest = event
+    return newest
+
+
+def _said(job: Job, event_type: type[E]) -> Iterator[tuple[E, int]]:
+    """The source's events of a type, with their positions."""
     for segment in job.log.read(job.stream(event_type)):
         for event in events_of(decode(segment, job.log.catalogue)):
-            if isinstance(event, event_type) and getattr(event, event_type.subject_field) == subject:
-                found = event, segment.position
-    return found
+            assert isinstance(event, event_type), "a stream holds one type"
+            yield event, segment.position
 
 
 def _producer(job: Job) -> Producer:

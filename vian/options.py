@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from store import Log, open_log
-from vian.errors import WrongUsage
+from vian.errors import WorldFailed, WrongUsage
 from vian.settings import Settings, load_settings
 
 DataDir = Annotated[
@@ -42,9 +42,33 @@ def open_from(settings: Settings, *, data_dir: Path | None = None) -> Log:
     return open_log(data_dir=settings.data_dir)
 
 
+def has_log(data_dir: Path) -> bool:
+    """Whether there is an embedded log in the folder, or something that keeps one from looking."""
+    try:
+        return (data_dir / "pg").exists()
+    except PermissionError:
+        return True  # opening it says what is the matter
+
+
 @contextmanager
-def opened(settings: Settings, *, data_dir: Path | None = None) -> Iterator[Log]:
-    """The log of `open_from`, for the length of the block."""
+def opened(settings: Settings, *, data_dir: Path | None = None, is_made: bool = False) -> Iterator[Log]:
+    """The log of `open_from`, for the length of the block.
+
+    Args:
+        settings: The settings.
+        data_dir: What the command line gave, if anything.
+        is_made: Whether an embedded log is made where there is none yet; a command that only reads
+            had better say that the folder is the wrong one.
+
+    Raises:
+        WorldFailed: There is no log in the folder.
+    """
+    is_embedded = settings.dsn is None or data_dir is not None
+    if is_embedded and not is_made and not has_log(settings.data_dir):
+        raise WorldFailed(
+            f"there is no log in {settings.data_dir}. Next: vian demo or vian extract makes one; "
+            "for one that is elsewhere give --data-dir DIR or --dsn URL"
+        )
     with open_from(settings, data_dir=data_dir) as log:
         yield log
 

@@ -5,19 +5,25 @@ pipe gets results only. With `--json` every result is one JSON object a line.
 """
 
 import json
+import math
+import re
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from datetime import datetime
+from decimal import Decimal
 from typing import Any, TextIO
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeRemainingColumn
 from rich.table import Table
+from rich.text import Text
 
 _PIPE_COLUMNS = 240
 """Width of tables where nobody's terminal sets one."""
+_CONTROLS = re.compile(r"[\x00-\x09\x0b-\x1f\x7f-\x9f]")
+"""Control characters but the end of line."""
 
 
 def _console(file: TextIO) -> Console:
@@ -26,8 +32,17 @@ def _console(file: TextIO) -> Console:
 
 
 def to_json(value: Any) -> str:
-    """The value as one line of JSON; times in ISO 8601, bytes in hexadecimal."""
-    return json.dumps(value, default=_plain, ensure_ascii=False)
+    """The value as one line of JSON; times in ISO 8601, bytes in hexadecimal, no control characters, no NaN."""
+    try:
+        text = json.dumps(value, default=_plain, ensure_ascii=False, allow_nan=False)
+    except ValueError:
+        text = json.dumps(_without_nan(value), default=_plain, ensure_ascii=False)
+    return _CONTROLS.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
+
+
+def printable(text: str) -> str:
+    """The text with control characters escaped: what another station wrote must not steer this terminal."""
+    return _CONTROLS.sub(lambda found: f"\\x{ord(found[0]):02x}", text)
 
 
 def _plain(value: Any) -> Any:
@@ -35,7 +50,18 @@ def _plain(value: Any) -> Any:
         return value.isoformat()
     if isinstance(value, bytes):
         return value.hex()
+    if isinstance(value, Decimal):
+        return int(value) if value == value.to_integral_value() else float(value)
     return str(value)
+
+
+def _without_nan(value: Any) -> Any:
+    """The value with the numbers that JSON lacks as text: "nan", "inf"."""
+    if isinstance(value, Mapping):
+        return {key: _without_nan(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_without_nan(each) for each in value]
+    return str(value) if isinstance(value, float) and not math.isfinite(value) else value
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,9 +101,9 @@ class Output:
             return
         table = Table(title=title or None, title_justify="left")
         for column in columns:
-            table.add_column(column, overflow="fold")
+            table.add_column(Text(printable(column)), overflow="fold")
         for row in rows:
-            table.add_row(*(_cell(value) for value in row))
+            table.add_row(*(Text(printable(_cell(value))) for value in row))
         self.out.print(table)
 
     @contextmanager

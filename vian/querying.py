@@ -181,9 +181,9 @@ def _streams(log: Log) -> pa.Table:
 def _explained(error: duckdb.Error, log: Log) -> WrongUsage:
     known = ", ".join(["events", "streams", *sorted(_names(log.catalogue))])
     text = str(error)
-    hint = f" Tables: {known}." if isinstance(error, duckdb.CatalogException) else ""
+    hint = f"\nTables: {known}." if isinstance(error, duckdb.CatalogException) else ""
     if "match_recognize" in text.lower():
-        hint = " MATCH_RECOGNIZE in queries is not supported yet; rules have it: vian rules run."
+        hint = "\nMATCH_RECOGNIZE in queries is not supported yet; rules have it: vian rules run."
     return WrongUsage(f"the query is not right: {text}{hint}")
 
 

@@ -41,17 +41,46 @@ def load_plan(path: Path | None) -> Plan:
 
 @contextmanager
 def station_daemon(
-    log: Log, station: str, central: str, token: str, plan: Plan, now: Callable[[], datetime] = utc_now
+    log: Log,
+    station: str,
+    central: str,
+    token: str,
+    plan: Plan,
+    now: Callable[[], datetime] = utc_now,
+    transport: httpx.BaseTransport | None = None,
 ) -> Iterator[Daemon]:
     """A daemon that sends the station's streams to central, for the length of the block.
 
+    Args:
+        log: The station's log.
+        station: Name of the station.
+        central: Address of the central server.
+        token: The station's token.
+        plan: Which streams, in which order.
+        now: The station's clock.
+        transport: Carries the requests; over the network by default.
+
     Raises:
-        WrongUsage: The address is not one of HTTP.
+        WrongUsage: The address is not one of HTTP, or the log is another station's.
     """
-    if not central.startswith(("http://", "https://")):
+    if not _is_address(central):
         raise WrongUsage(f"central must be an address such as http://central.example:8470, got {central!r}")
-    with httpx.Client(base_url=central, timeout=REQUEST_SECONDS_MAX) as client:
+    stations = sorted({head.stream.station for head in log.streams()})
+    if stations and station not in stations:
+        raise WrongUsage(
+            f"this log has no streams of station {station}, but of {', '.join(stations[:5])}. "
+            f"Next: give --station {stations[0]}, or set station in vian.toml"
+        )
+    with httpx.Client(base_url=central, timeout=REQUEST_SECONDS_MAX, transport=transport) as client:
         yield Daemon(log, station_name(station), plan, client, token=token, now=now, random=random.random)
+
+
+def _is_address(text: str) -> bool:
+    try:
+        url = httpx.URL(text)
+    except httpx.InvalidURL:
+        return False
+    return url.scheme in ("http", "https") and bool(url.host)
 
 
 def sync_part(daemon: Daemon) -> Part:

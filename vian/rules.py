@@ -25,10 +25,16 @@ def load_all(paths: Sequence[Path]) -> list[Rule]:
     """The rules of files and folders, in order.
 
     Raises:
-        WrongUsage: There are none, or two of one name.
+        WrongUsage: There are none, or two of one name, or a file cannot be read.
         PatternError: A file is not a rule.
     """
-    rules = [rule for path in paths for rule in load_rules(path)]
+    try:
+        rules = [rule for path in paths for rule in load_rules(path)]
+    except OSError as error:
+        raise WrongUsage(
+            f"the rule file {error.filename} cannot be read: {error.strerror}. "
+            "Next: give a rule file or a folder of them"
+        ) from error
     if not rules:
         raise WrongUsage(f"no rule files (*.yaml) in {', '.join(map(str, paths))}")
     names = [rule.rule for rule in rules]

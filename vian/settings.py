@@ -11,17 +11,26 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import platformdirs
-from pydantic import Field, SecretStr, ValidationError
+from pydantic import AfterValidator, Field, SecretStr, ValidationError
 from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict, TomlConfigSettingsSource
 
 from vian.errors import WrongUsage
 
 CONFIG_NAME = "vian.toml"
 
+HomePath = Annotated[Path, AfterValidator(Path.expanduser)]
+"""A path in which ~ is the user's home, wherever it was written."""
+
 
 def config_file() -> Path:
-    """The settings file: `VIAN_CONFIG`, else `vian.toml` here, else the user's own."""
+    """The settings file: `VIAN_CONFIG`, else `vian.toml` here, else the user's own.
+
+    Raises:
+        WrongUsage: `VIAN_CONFIG` names a file that is not there.
+    """
     if named := os.environ.get("VIAN_CONFIG"):
+        if not Path(named).is_file():
+            raise WrongUsage(f"VIAN_CONFIG names {named}, which is not a file. Next: correct or unset it")
         return Path(named)
     here = Path(CONFIG_NAME)
     return here if here.exists() else platformdirs.user_config_path("vian") / CONFIG_NAME
@@ -39,15 +48,15 @@ class Settings(BaseSettings):
         env_prefix="VIAN_", frozen=True, extra="forbid", use_attribute_docstrings=True, env_ignore_empty=True
     )
 
-    data_dir: Path = Field(default_factory=lambda: platformdirs.user_data_path("vian"))
+    data_dir: HomePath = Field(default_factory=lambda: platformdirs.user_data_path("vian"))
     """folder of the embedded log"""
     dsn: SecretStr | None = None
     """address of an external PostgreSQL instead of the embedded one: postgresql://user:password@host/database"""
     station: str = Field(default_factory=_host_name)
     """name of this station, the first part of its streams' names; the host's name by default"""
-    data: Path = Path("../shared/data")
+    data: HomePath = Path("../shared/data")
     """folder of sample videos for the demo and the tests"""
-    rules: Path | None = None
+    rules: HomePath | None = None
     """folder or file of rules that `vian serve` runs"""
     host: str = "127.0.0.1"
     """address that `vian serve` listens on"""
@@ -55,11 +64,11 @@ class Settings(BaseSettings):
     """port that `vian serve` listens on; 0 takes a free one"""
     central: str | None = None
     """address of the central server that `vian sync` replicates to, such as http://central.example:8470"""
-    token_file: Path | None = None
+    token_file: HomePath | None = None
     """file with this station's token for the central server"""
-    stations_file: Path | None = None
+    stations_file: HomePath | None = None
     """central server: TOML file with the stations that may replicate, `name = "SHA-256 of its token"`"""
-    plan: Path | None = None
+    plan: HomePath | None = None
     """YAML file of the sync plan: which streams, in which order"""
     database_wait_s: Annotated[float, Field(ge=0)] = 60.0
     """how long an append waits for a database that is away, in seconds"""
@@ -86,11 +95,20 @@ def load_settings(**given: Any) -> Settings:
     try:
         return Settings(**{name: value for name, value in given.items() if value is not None})
     except ValidationError as error:
-        first = error.errors()[0]
-        name = ".".join(map(str, first["loc"]))
-        raise WrongUsage(
-            f"setting {name}: {first['msg']}, got {first.get('input')!r}. "
-            f"Next: correct it on the command line, in VIAN_{name.upper()} or in {config_file()}"
-        ) from error
+        raise WrongUsage(_explained(error)) from None  # a chained error would show what is secret
     except (tomllib.TOMLDecodeError, OSError) as error:
         raise WrongUsage(f"the settings file {config_file()} cannot be read: {error}") from error
+
+
+def _explained(error: ValidationError) -> str:
+    first = error.errors()[0]
+    name = str(first["loc"][0])
+    if first["type"] == "extra_forbidden":
+        known = ", ".join(sorted(Settings.model_fields))
+        return f"{config_file()}: there is no setting {name!r}; known: {known}. Next: correct or remove the line"
+    # An address may hold a password, whatever else is wrong with it.
+    got = "" if name == "dsn" else f", got {first['input']!r}"
+    return (
+        f"setting {name}: {first['msg']}{got}. "
+        f"Next: correct it on the command line, in VIAN_{name.upper()} or in {config_file()}"
+    )

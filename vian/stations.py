@@ -3,12 +3,13 @@
 Contract: the file holds SHA-256 hashes, never tokens; a token is shown once, when it is made.
 """
 
-import os
 import secrets
+import tempfile
 import tomllib
 from pathlib import Path
 
 from events import station_name
+from sync.errors import GrantError
 from sync.grants import Grants, token_hash
 from vian.errors import WorldFailed, WrongUsage
 
@@ -21,39 +22,56 @@ def read_grants(path: Path) -> Grants:
     Raises:
         WrongUsage: The file cannot be read, or is not `[stations]` with `name = "SHA-256"` lines.
     """
-    return Grants(_read(path))
+    try:
+        return Grants(_stations(_text(path), path))
+    except GrantError as error:
+        raise WrongUsage(f"{path}: {error}") from error
 
 
-def add_station(path: Path, station: str) -> str:
+def add_station(path: Path, station: str, token_file: Path | None = None) -> str:
     """Enter a station with a new token into the file, made if need be; the token.
+
+    Args:
+        path: The list of stations; other lines of it stay as they are.
+        station: Name of the station.
+        token_file: Where the token is written first, so that a listed token is never a lost one.
 
     Raises:
         WrongUsage: The station is there already, or the file is not right.
-        WorldFailed: The file cannot be written.
+        WorldFailed: A file cannot be written.
     """
     name = station_name(station)
-    hashes = _read(path) if path.exists() else {}
+    text = _text(path) if path.exists() else "[stations]\n"
+    hashes = _stations(text, path)
     if name in hashes:
         raise WrongUsage(
             f"station {name} is in {path} already. Next: to give it a new token, delete its line and run this again"
         )
     token = secrets.token_urlsafe(_TOKEN_BYTES)
-    hashes[name] = token_hash(token)
-    lines = [f'"{known}" = "{digest}"\n' for known, digest in sorted(hashes.items())]
-    write_private(path, "[stations]\n" + "".join(lines))
+    text = text.rstrip("\n") + f'\n"{name}" = "{token_hash(token)}"\n'
+    if _stations(text, path).get(name) is None:
+        raise WrongUsage(f"{path}: the file must end with its table [stations]. Next: move the table there")
+    if token_file is not None:
+        write_private(token_file, token + "\n")
+    write_private(path, text)
     return token
 
 
 def write_private(path: Path, text: str) -> None:
-    """Write a file that only its owner may read.
+    """Write a file that only its owner may read, wholly or not at all.
 
     Raises:
         WorldFailed: It cannot be written.
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600), "w", encoding="utf-8") as file:
+        with tempfile.NamedTemporaryFile("w", dir=path.parent, delete=False, encoding="utf-8") as file:
             file.write(text)
+        try:
+            Path(file.name).replace(path)
+        except OSError:
+            Path(file.name).unlink()
+            raise
     except OSError as error:
         raise WorldFailed(f"{path} cannot be written: {error.strerror}") from error
 
@@ -75,13 +93,20 @@ def read_token(path: Path) -> str:
     return token
 
 
-def _read(path: Path) -> dict[str, str]:
+def _text(path: Path) -> str:
     try:
-        stations = tomllib.loads(path.read_text(encoding="utf-8")).get("stations", {})
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
         raise WrongUsage(
             f"the stations file {path} cannot be read: {error}. Next: vian station add NAME --stations-file {path}"
         ) from error
+
+
+def _stations(text: str, path: Path) -> dict[str, str]:
+    try:
+        stations = tomllib.loads(text).get("stations")
+    except tomllib.TOMLDecodeError as error:
+        raise WrongUsage(f"the stations file {path} is not TOML: {error}. Next: correct that line") from error
     if not (isinstance(stations, dict) and all(isinstance(digest, str) for digest in stations.values())):
-        raise WrongUsage(f'{path}: [stations] must have lines name = "SHA-256 of its token"')
+        raise WrongUsage(f'{path}: wanted a table [stations] with lines name = "SHA-256 of its token"')
     return dict(stations)

@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from store import open_log
 from vian import options
 from vian.demo.clip import choose
 from vian.demo.run import ANSWER_SQL, CENTRAL_DIR, Summary, run_demo, summary_rows
@@ -37,7 +38,11 @@ def demo(
     clip = choose(video, settings.data, output.note)
     output.note(f"clip: {clip.path}" + (f"\n{clip.attribution}" if clip.attribution else ""))
     summary = run_demo(
-        lambda: open_from(settings, data_dir=data_dir), settings.data_dir / CENTRAL_DIR, clip, report, output
+        lambda: open_from(settings, data_dir=data_dir),
+        lambda: open_log(data_dir=settings.data_dir / CENTRAL_DIR),
+        clip,
+        report,
+        output,
     )
     _print(summary, output)
     if not summary.is_sound:

@@ -38,7 +38,7 @@ def motion(
     """Detect and track what moves in a video: track points, ended tracks, activity intervals."""
     settings = settings_for(data_dir, dsn, station=station)
     output = Output(is_json=as_json)
-    with opened(settings, data_dir=data_dir) as log, output.progress("frames", None) as bar:
+    with opened(settings, data_dir=data_dir, is_made=True) as log, output.progress("frames", None) as bar:
 
         def show(done: int, expected: int | None) -> None:
             bar.at(done, expected)

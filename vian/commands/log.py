@@ -8,7 +8,7 @@ import typer
 from events import Segment, UnknownType, decode, events_of
 from store import Log, Projector, Subscription, verify
 from vian import options
-from vian.errors import WorldFailed
+from vian.errors import WorldFailed, WrongUsage
 from vian.options import opened, settings_for
 from vian.output import Output, to_json
 
@@ -43,19 +43,27 @@ def tail(
     """Show the newest events, oldest first, as JSON after their place."""
     output = Output(is_json=as_json)
     with opened(settings_for(data_dir, dsn), data_dir=data_dir) as log:
-        for name in types or []:
-            if name not in log.catalogue:
-                log.catalogue.newest(name)
-        head = log.head()
-        for line in _newest(log, count, types, source, as_json):
+        head, heads = log.heads()
+        _check_known("type", types, {*(str(each.type_name) for each in log.catalogue), *(h.stream.type for h in heads)})
+        if not follow:
+            _check_known("source", source, {head.stream.source for head in heads})
+        for line in _newest(log, head, count, types, source, as_json):
             output.line(line)
         if follow:
             _follow(log, head, types, source, output)
 
 
-def _newest(log: Log, count: int, types: list[str] | None, sources: list[str] | None, as_json: bool) -> list[str]:
-    """Lines for the newest `count` events, looking back over ever longer stretches of the log."""
-    head = log.head()
+def _check_known(what: str, wanted: list[str] | None, known: set[str]) -> None:
+    """Refuse a name that nothing in the log bears: an empty answer would hide the slip."""
+    unknown = sorted(set(wanted or []) - known)
+    if unknown:
+        raise WrongUsage(f"no {what} {unknown[0]!r} in this log; known: {', '.join(sorted(known)) or 'none yet'}")
+
+
+def _newest(
+    log: Log, head: int, count: int, types: list[str] | None, sources: list[str] | None, as_json: bool
+) -> list[str]:
+    """Lines for the newest `count` events up to a position, looking back over ever longer stretches of the log."""
     stretch = 64
     while True:
         first = max(1, head - stretch + 1)

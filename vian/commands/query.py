@@ -1,10 +1,14 @@
 """`vian query`: SQL over the log."""
 
+from collections.abc import Sequence
 from enum import StrEnum
+from itertools import chain, count
 from pathlib import Path
 from typing import Annotated
 
+import duckdb
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.csv
 import pyarrow.parquet
 import typer
@@ -55,9 +59,44 @@ def query(
         scope = Scope(time_of("--since", since), time_of("--until", until), source)
         table = answer(log, sql, scope)
     try:
-        write(table, chosen, output_file, Output(is_json=chosen is Format.JSON))
+        write(presentable(table), chosen, output_file, Output(is_json=chosen is Format.JSON))
+    except BrokenPipeError:
+        raise  # the reader of standard output has gone; it is no file of ours
     except OSError as error:
         raise WorldFailed(f"the answer cannot be written to {output_file}: {error.strerror}") from error
+
+
+def presentable(table: pa.Table) -> pa.Table:
+    """The table with column names that differ, and as text what Python or a file format has no form for."""
+    table = table.rename_columns(_distinct(table.column_names))
+    odd = [name for name in table.column_names if not _has_form(table.column(name))]
+    if not odd:
+        return table
+    quoted = ['"' + name.replace('"', '""') + '"' for name in odd]
+    texts = ", ".join(f"cast({name} as varchar) as {name}" for name in quoted)
+    with duckdb.connect(config={"autoinstall_known_extensions": False}) as connection:
+        connection.execute("set timezone = 'UTC'")
+        return connection.from_arrow(table).project(f"* replace ({texts})").to_arrow_table()
+
+
+def _distinct(names: Sequence[str]) -> list[str]:
+    distinct: list[str] = []
+    for name in names:
+        numbered = (f"{name}_{number}" for number in count(1))
+        distinct.append(next(each for each in chain([name], numbered) if each not in distinct))
+    return distinct
+
+
+def _has_form(column: pa.ChunkedArray) -> bool:
+    """Whether its values are such that Python knows: no spans of months and days, no infinite times."""
+    if pa.types.is_interval(column.type):
+        return False
+    if pa.types.is_timestamp(column.type):
+        try:
+            pc.min_max(column).as_py()
+        except (OverflowError, ValueError):
+            return False
+    return True
 
 
 def write(table: pa.Table, format_: Format, file: Path | None, output: Output) -> None:
@@ -81,7 +120,8 @@ def _print(table: pa.Table, format_: Format, output: Output) -> None:
         pa.csv.write_csv(_flat(table), sink)
         output.stream.write(sink.getvalue().to_pybytes().decode())
     else:
-        output.table("", table.column_names, ([row[name] for name in table.column_names] for row in table.to_pylist()))
+        columns = (column.to_pylist() for column in table.columns)
+        output.table("", table.column_names, zip(*columns, strict=True))
 
 
 def _flat(table: pa.Table) -> pa.Table:

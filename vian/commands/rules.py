@@ -69,7 +69,7 @@ def run(
     settings = settings_for(data_dir, dsn, station=station)
     output = Output(is_json=as_json)
     rules = load_all(paths)
-    with opened(settings, data_dir=data_dir) as log:
+    with opened(settings, data_dir=data_dir, is_made=True) as log:
         for rule in deploy_all(log, settings.station, rules):
             output.note(f"deployed {rule.rule} version {rule.version}")
         processor = Processor(log, settings.station, rules)

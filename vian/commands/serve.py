@@ -68,13 +68,13 @@ def serve(
     listening = bind(settings.host, settings.port)
     with ExitStack() as stack:
         stack.callback(listening.close)
-        log = stack.enter_context(opened(settings, data_dir=data_dir))
+        log = stack.enter_context(opened(settings, data_dir=data_dir, is_made=True))
         parts = stack.enter_context(Parts(_parts(stack, log, settings, role)))
+        stopping = _stop_on_signals()
         address = stack.enter_context(serving(create_app(log, grants), listening))
         Output(is_json=as_json).result(
             {"role": role, "address": address, "station": settings.station}, f"vian {role} at {address}"
         )
-        stopping = _stop_on_signals()
         while not stopping.wait(0.2) and parts.wait(0.2):
             pass
 

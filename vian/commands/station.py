@@ -8,7 +8,7 @@ import typer
 from vian.errors import WrongUsage
 from vian.options import settings_for
 from vian.output import Output
-from vian.stations import add_station, write_private
+from vian.stations import add_station
 
 app = typer.Typer(help="Stations that may replicate to this central server.", no_args_is_help=True)
 
@@ -28,10 +28,9 @@ def add(
     path = settings_for(stations_file=stations_file).stations_file
     if path is None:
         raise WrongUsage("which list of stations? Next: give --stations-file FILE, or set stations_file in vian.toml")
-    token = add_station(path, name)
+    token = add_station(path, name, token_file)
     output = Output(is_json=as_json)
     if token_file is not None:
-        write_private(token_file, token + "\n")
         output.result({"station": name, "token_file": str(token_file)}, f"station {name}: token in {token_file}")
     else:
         output.result({"station": name, "token": token}, f"station {name}: token {token} (shown once)")

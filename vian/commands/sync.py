@@ -43,7 +43,7 @@ def sync(
     token = read_token(settings.token_file)
     chosen = load_plan(settings.plan)
     with (
-        opened(settings, data_dir=data_dir) as log,
+        opened(settings, data_dir=data_dir, is_made=not once) as log,
         station_daemon(log, settings.station, settings.central, token, chosen) as daemon,
     ):
         if once:

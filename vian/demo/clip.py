@@ -4,6 +4,7 @@ In this order: a file that the user names; the sample folder (`VIAN_DATA`); a pi
 is checked against its SHA-256; and, offline, a street scene that the demo renders itself.
 """
 
+import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
@@ -11,9 +12,10 @@ from pathlib import Path
 
 import platformdirs
 import pooch
-from extractors.scene import render_street
 
-from vian.errors import WrongUsage
+from extractors.scene import street, write
+from vian.errors import WorldFailed, WrongUsage
+from vian.version import VERSION
 
 NAME = "one-by-one-person-detection.mp4"
 SHA256 = "a5964aa259099a482a8b360ffc2c57b5a30f84d5919236a4dad01f8e929ac07c"
@@ -61,6 +63,7 @@ def choose(given: Path | None, samples: Path, note: Callable[[str], None], *, ur
 
     Raises:
         WrongUsage: The named file does not exist.
+        WorldFailed: There is no place for the others.
     """
     if given is not None:
         if not given.is_file():
@@ -69,10 +72,19 @@ def choose(given: Path | None, samples: Path, note: Callable[[str], None], *, ur
     if (samples / _IN_SAMPLES).is_file():
         return Clip(samples / _IN_SAMPLES, Origin.SAMPLES, ATTRIBUTION)
     try:
+        if not (_cache() / NAME).exists():
+            note(f"downloading the sample clip, 3 MB, from {url}")
         return Clip(_downloaded(url), Origin.DOWNLOAD, ATTRIBUTION)
     except (OSError, ValueError) as error:
         note(f"the sample clip cannot be downloaded ({_first_line(error)}); showing a rendered street scene instead")
+    try:
         return Clip(_rendered(), Origin.RENDERED, "Clip: a street scene rendered by ViAn itself")
+    except OSError as error:
+        raise WorldFailed(f"no clip can be kept in {_cache()}: {error}. Next: give one with --video FILE") from error
+
+
+def _cache() -> Path:
+    return platformdirs.user_cache_path("vian")
 
 
 def _downloaded(url: str) -> Path:
@@ -82,16 +94,21 @@ def _downloaded(url: str) -> Path:
             url,
             known_hash=f"sha256:{SHA256}",
             fname=NAME,
-            path=platformdirs.user_cache_path("vian"),
+            path=_cache(),
             downloader=pooch.HTTPDownloader(timeout=_DOWNLOAD_SECONDS_MAX),
         )
     )
 
 
 def _rendered() -> Path:
-    path = platformdirs.user_cache_path("vian") / "street.mp4"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    render_street(path)
+    """The street scene, from the cache if it is there whole."""
+    path = _cache() / f"street-{VERSION}.mp4"
+    if not path.exists():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=path.parent) as folder:
+            unfinished = Path(folder) / path.name
+            write(street(), unfinished)
+            unfinished.replace(path)
     return path
 
 

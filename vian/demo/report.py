@@ -23,6 +23,7 @@ from extractors.media import Frame
 from extractors.video import frames
 from patterns.rule import Rule
 from store import Log
+from vian.errors import WorldFailed
 from vian.querying import query
 
 Image = npt.NDArray[np.uint8]
@@ -55,8 +56,6 @@ class Track:
 class Shape:
     """A place that rules name, in pixels."""
 
-    names: str
-    """what the rules call it"""
     points: str
     is_zone: bool
     x_label: float
@@ -109,7 +108,11 @@ class _Deciding:
 
 
 def write_report(log: Log, video: Path, rules: Sequence[Rule], facts: Facts, file: Path) -> None:
-    """Write the report of the log's source `facts.source` to the file."""
+    """Write the report of the log's source `facts.source` to the file.
+
+    Raises:
+        WorldFailed: The file cannot be written.
+    """
     place = f"station = '{facts.station}' and source = '{facts.source}'"
     added = query(log, f"select * from video_added where {place} order by sequence desc limit 1").to_pylist()[0]
     size = (added["width"], added["height"])
@@ -121,7 +124,8 @@ def write_report(log: Log, video: Path, rules: Sequence[Rule], facts: Facts, fil
     ).to_pylist()
     found = query(log, f"select * from situation_detected where {place} order by ended_at, sequence").to_pylist()
     span_s = max([(row["time"] - start).total_seconds() for row in points], default=1.0) or 1.0
-    deciding = [_deciding(row, {p["sequence"]: p for p in points}) for row in found]
+    by_sequence = {point["sequence"]: point for point in points}
+    deciding = [_deciding(row, by_sequence) for row in found]
     busiest = _busiest_frame(points)
     wanted = {d.frame for d in deciding[:THUMBNAILS_MAX] if d} | {busiest}
     pictures = {frame.index: frame.image for frame in _frames(video, wanted)}
@@ -139,7 +143,13 @@ def write_report(log: Log, video: Path, rules: Sequence[Rule], facts: Facts, fil
             _situation(row, point, start, span_s, pictures) for row, point in zip(found, deciding, strict=True)
         ],
     )
-    file.write_text(page, encoding="utf-8")
+    try:
+        file.write_text(page, encoding="utf-8")
+    except OSError as error:
+        raise WorldFailed(
+            f"the report cannot be written to {file}: {error.strerror}; all else is done. "
+            "Next: the same command with another --report FILE"
+        ) from error
 
 
 def _tracks(points: Sequence[dict[str, Any]], start: datetime, span_s: float) -> list[Track]:
@@ -164,25 +174,17 @@ def _tracks(points: Sequence[dict[str, Any]], start: datetime, span_s: float) ->
     return tracks
 
 
-def _shapes(rules: Sequence[Rule], size: tuple[int, int]) -> list[Shape]:
+def _shapes(rules: Sequence[Rule], size: tuple[int, int]) -> dict[Shape, str]:
     """Each place once, with all its names."""
-    names: dict[tuple[str, bool], list[str]] = {}
-    corners: dict[str, Pixels] = {}
-    for rule in rules:
-        for name, zone in rule.zones.items():
-            pixels = zone.scaled(zone.polygon, size)
-            names.setdefault((_svg_points(pixels), True), []).append(name)
-            corners[_svg_points(pixels)] = pixels
-        for name, line in rule.lines.items():
-            pixels = line.points_px(size)
-            names.setdefault((_svg_points(pixels), False), []).append(name)
-            corners[_svg_points(pixels)] = pixels
-    return [_shape(", ".join(sorted(set(own))), points, corners[points], z) for (points, z), own in names.items()]
+    zones = [(name, zone.scaled(zone.polygon, size), True) for rule in rules for name, zone in rule.zones.items()]
+    lines = [(name, line.points_px(size), False) for rule in rules for name, line in rule.lines.items()]
+    named = [(name, _shape(pixels, is_zone)) for name, pixels, is_zone in [*zones, *lines]]
+    return {place: ", ".join(sorted({name for name, other in named if other == place})) for _, place in named}
 
 
-def _shape(names: str, points: str, corners: Pixels, is_zone: bool) -> Shape:
-    x, y = min(corners, key=lambda corner: float(corner[1]))
-    return Shape(names, points, is_zone, float(x) + 4, max(14.0, float(y) - 6))
+def _shape(pixels: Pixels, is_zone: bool) -> Shape:
+    x, y = min(pixels, key=lambda corner: float(corner[1]))
+    return Shape(_svg_points(pixels), is_zone, float(x) + 4, max(14.0, float(y) - 6))
 
 
 def _svg_points(pixels: Pixels) -> str:

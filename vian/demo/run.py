@@ -7,7 +7,6 @@ its end it appends nothing and shows the same.
 """
 
 import hashlib
-import socket
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -15,11 +14,12 @@ from datetime import UTC, datetime
 from pathlib import Path
 from time import monotonic
 
+import httpx
 import pyarrow as pa
 
 from patterns.processor import Processor, deploy
 from patterns.rule import Rule
-from store import Log, Projector, Verification, open_log, verify
+from store import Log, Projector, Verification, verify
 from sync.grants import Grants, token_hash
 from vian.api import bind, create_app, serving
 from vian.demo.clip import Clip
@@ -36,8 +36,8 @@ from vian.rules import file_text
 STATION = "demo"
 CLIP_START = datetime(2026, 1, 1, 10, tzinfo=UTC)
 CENTRAL_DIR = "central"
-CENTRAL_PORT = 8471
-"""Port of the demo's central server, so that its address, which the log records, is the same each time."""
+CENTRAL = "http://central.localhost"
+"""Address of the demo's central server in the log, the same each time whichever port it got."""
 ANSWER_SQL = (
     "SELECT rule, severity, count(*) AS situations, min(time) AS first, max(time) AS last "
     "FROM situation_detected GROUP BY ALL ORDER BY rule"
@@ -77,12 +77,14 @@ class Summary:
         return self.station.is_sound and self.central.is_sound and self.heads_agree
 
 
-def run_demo(open_station: Callable[[], Log], central_dir: Path, clip: Clip, report: Path, output: Output) -> Summary:
+def run_demo(
+    open_station: Callable[[], Log], open_central: Callable[[], Log], clip: Clip, report: Path, output: Output
+) -> Summary:
     """Run the demo on the clip, or go on with it.
 
     Args:
         open_station: Opens the station's log.
-        central_dir: Folder of the central log.
+        open_central: Opens the central log.
         clip: The video.
         report: File of the report.
         output: Where progress is shown.
@@ -95,8 +97,8 @@ def run_demo(open_station: Callable[[], Log], central_dir: Path, clip: Clip, rep
     with ExitStack() as stack:
         output.note("starting two PostgreSQL servers: the station's and the central one")
         station = stack.enter_context(open_station())
-        central = stack.enter_context(open_log(data_dir=central_dir))
         _check_is_ours(station)
+        central = stack.enter_context(open_central())
         rules = rules_for(clip)
         deploy(station, STATION, rules, {rule.rule: file_text(rule) for rule in rules}, CLIP_START)
         extraction = _run_together(stack, station, central, rules, clip, output)
@@ -125,11 +127,18 @@ def _run_together(
     stack: ExitStack, station: Log, central: Log, rules: list[Rule], clip: Clip, output: Output
 ) -> Extraction:
     """Extraction, projectors, rules, server and sync at once, until all have come to the same place."""
-    listening = _listen()
     app = create_app(central, Grants({STATION: token_hash(_TOKEN)}))
-    address = stack.enter_context(serving(app, listening))
+    address = stack.enter_context(serving(app, bind("127.0.0.1", 0)))
     daemon = stack.enter_context(
-        station_daemon(station, STATION, address, _TOKEN, load_plan(None), now=lambda: CLIP_START)
+        station_daemon(
+            station,
+            STATION,
+            CENTRAL,
+            _TOKEN,
+            load_plan(None),
+            now=lambda: CLIP_START,
+            transport=_Loopback(httpx.URL(address)),
+        )
     )
     processor = Processor(station, STATION, rules)
     projectors = [Projector(station), Projector(central)]
@@ -212,12 +221,17 @@ def _check_is_ours(station: Log) -> None:
         )
 
 
-def _listen() -> socket.socket:
-    try:
-        return bind("127.0.0.1", CENTRAL_PORT)
-    except WorldFailed:
-        # Taken, perhaps by another demo: any port will do, and the log will name it.
-        return bind("127.0.0.1", 0)
+class _Loopback(httpx.HTTPTransport):
+    """Carries what is for `CENTRAL` to the place on loopback where it listens."""
+
+    def __init__(self, address: httpx.URL) -> None:
+        super().__init__()
+        self._address = address
+
+    def handle_request(self, request: httpx.Request) -> httpx.Response:
+        """The answer from there."""
+        request.url = request.url.copy_with(host=self._address.host, port=self._address.port)
+        return super().handle_request(request)
 
 
 def summary_rows(summary: Summary) -> Iterator[tuple[str, str]]:

@@ -1,0 +1,69 @@
+from contextlib import AbstractContextManager
+
+import httpx
+import pytest
+import uvicorn
+from fastapi import FastAPI
+
+from store import Log, LogUnavailable
+from sync.grants import Grants, token_hash
+from tests.vian.samples import append, points
+from vian.api import bind, create_app, serving
+from vian.errors import WorldFailed
+from vian.version import VERSION
+
+TOKEN = "a-token-of-brno-that-nobody-guesses"
+
+
+def served(log: Log, grants: Grants | None = None, host: str = "127.0.0.1") -> AbstractContextManager[str]:
+    return serving(create_app(log, grants), bind(host, 0))
+
+
+def test_health_says_where_the_log_stands(log: Log) -> None:
+    append(log, points(1))
+    with served(log) as address:
+        answer = httpx.get(f"{address}/health")
+    assert answer.json() == {"status": "ok", "version": VERSION, "position": 1}
+
+
+def test_health_is_503_while_the_database_is_away(log: Log, monkeypatch: pytest.MonkeyPatch) -> None:
+    def away() -> int:
+        raise LogUnavailable("the password is hunter2")
+
+    monkeypatch.setattr(log, "head", away)
+    with served(log) as address:
+        answer = httpx.get(f"{address}/health")
+    assert answer.status_code == 503
+    assert answer.json() == {"status": "the database is away", "version": VERSION}
+
+
+@pytest.mark.parametrize("grants, status", [(None, 404), (Grants({"brno": token_hash(TOKEN)}), 401)])
+def test_only_a_central_server_takes_segments(log: Log, grants: Grants | None, status: int) -> None:
+    with served(log, grants) as address:
+        assert httpx.post(f"{address}/sync/v1/hello").status_code == status
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "::1"])
+def test_an_application_is_served_while_the_block_runs(log: Log, host: str) -> None:
+    with served(log, host=host) as address:
+        assert httpx.get(f"{address}/health").json()["status"] == "ok"
+    with pytest.raises(httpx.ConnectError):
+        httpx.get(f"{address}/health")
+
+
+def test_a_port_in_use_is_told_with_the_way_out() -> None:
+    with bind("127.0.0.1", 0) as taken:
+        port = taken.getsockname()[1]
+        with pytest.raises(WorldFailed, match=rf"port {port}: Address already in use\. Next: .*--port"):
+            bind("127.0.0.1", port)
+
+
+def test_a_host_that_is_none_of_ours_is_told() -> None:
+    with pytest.raises(WorldFailed, match=r"cannot listen on 192\.0\.2\.1 port 0: "):
+        bind("192.0.2.1", 0)
+
+
+def test_a_server_that_does_not_start_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(uvicorn.Server, "run", lambda self, sockets: None)
+    with pytest.raises(WorldFailed, match="the HTTP server did not start"), serving(FastAPI(), bind("127.0.0.1", 0)):
+        pass

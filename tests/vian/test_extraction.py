@@ -1,0 +1,420 @@
+"""Extraction into a real log: on short clips of known content, on bad files, and with stops anywhere."""
+
+import os
+import shutil
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import psycopg
+import pytest
+
+from events import (
+    EventType,
+    InvalidName,
+    ProcessFailed,
+    ProcessFinished,
+    ProcessProgressed,
+    ProcessStarted,
+    VideoAdded,
+    decode,
+    events_of,
+)
+from extractors import video
+from extractors.errors import DecoderDied, VideoUnreadable
+from extractors.media import Frame, Gap, GapReason
+from store import Log, LogUnavailable
+from tests.conftest import Server
+from tests.vian.clips import Walk, write_clip
+from tests.vian.samples import START, heads, reopened
+from vian import extraction
+from vian.errors import WorldFailed, WrongUsage
+from vian.extraction import Job, extract_motion, media_clock
+
+
+class Stopped(Exception):
+    """The process was stopped here."""
+
+
+def job(log: Log, path: Path, **changes: Any) -> Job:
+    return replace(
+        Job(log=log, station="brno", source="gate", path=path, started_at=START, stamp=media_clock), **changes
+    )
+
+
+def said(log: Log, event_type: type[EventType], source: str = "gate") -> list[Any]:
+    segments = log.read_all(types=[event_type.type_name], sources=[source])
+    return [event for segment in segments for event in events_of(decode(segment, log.catalogue))]
+
+
+def stop_at(call: int) -> Callable[[int, int | None], None]:
+    calls = 0
+
+    def on_progress(_done: int, _expected: int | None) -> None:
+        nonlocal calls
+        calls += 1
+        if calls == call:
+            raise Stopped
+
+    return on_progress
+
+
+@pytest.fixture(scope="module", autouse=True)
+def decoded_once() -> Iterator[None]:
+    """Each video is decoded once: most tests here are about what becomes of its frames."""
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(extraction.video, "probe", cache(video.probe))
+        patched.setattr(extraction.video, "frames", cache(lambda path, decode=video.frames: tuple(decode(path))))
+        yield
+
+
+@pytest.fixture(scope="module")
+def undisturbed(clip: Path, servers: Any, decoded_once: None) -> dict[str, tuple[int, str]]:
+    """The heads after an extraction of the clip that nothing disturbed."""
+    server = servers.get("embedded")
+    name = server.create_database()
+    with reopened_at(server.dsn(name)) as log:
+        extract_motion(job(log, clip))
+        found = heads(log)
+    server.drop_database(name)
+    return found
+
+
+def reopened_at(dsn: str) -> Log:
+    class At:
+        def __init__(self) -> None:
+            self.dsn = dsn
+
+    return reopened(At())  # type: ignore[arg-type]
+
+
+def test_a_video_becomes_events_between_start_and_finish(log: Log, clip: Path) -> None:
+    told: list[tuple[int, int | None]] = []
+    done = extract_motion(job(log, clip, on_progress=lambda *progress: told.append(progress)))
+    assert (done.source, done.frames, done.gaps, done.was_done) == ("gate", 60, 0, False)
+    (added,) = said(log, VideoAdded)
+    assert (added.video, added.width, added.height, added.started_at) == (done.video.video, 320, 240, START)
+    (started,) = said(log, ProcessStarted)
+    assert (started.process, started.video, started.extractor) == (done.process, added.video, "motion")
+    (finished,) = said(log, ProcessFinished)
+    assert (finished.frames, finished.events, finished.gaps) == (60, done.events, 0)
+    sizes = heads(log)
+    kinds = ("track_point", "track_ended", "activity_interval")
+    assert done.events == sum(sizes[f"brno/gate/{kind}"][0] for kind in kinds)
+    assert sizes["brno/gate/track_point"][0] > 30
+    assert told[-1] == (60, 60)
+    assert [frames for frames, _ in told] == sorted(frames for frames, _ in told)
+
+
+def test_two_logs_of_one_clip_are_the_same(
+    log: Log, clip: Path, undisturbed: dict[str, tuple[int, str]], tmp_path: Path
+) -> None:
+    copy = shutil.copy(clip, tmp_path / "elsewhere.mp4")
+    extract_motion(job(log, clip))
+    assert heads(log) == undisturbed
+    assert Path(copy) != clip
+
+
+@pytest.mark.parametrize("call", range(1, 7))
+def test_a_stop_at_any_batch_is_made_good(
+    log: Log, clip: Path, undisturbed: dict[str, tuple[int, str]], call: int
+) -> None:
+    with pytest.raises(Stopped):
+        extract_motion(job(log, clip, on_progress=stop_at(call)))
+    assert heads(log) != undisturbed
+    done = extract_motion(job(log, clip))
+    assert not done.was_done
+    assert heads(log) == undisturbed
+
+
+def test_many_stops_are_made_good(log: Log, clip: Path, undisturbed: dict[str, tuple[int, str]]) -> None:
+    for call in (1, 1, 3, 2, 5):
+        with pytest.raises(Stopped):
+            extract_motion(job(log, clip, on_progress=stop_at(call)))
+    extract_motion(job(log, clip))
+    assert heads(log) == undisturbed
+
+
+@pytest.mark.parametrize("call", range(1, 8))
+def test_a_stop_between_any_two_appends_is_made_good(
+    log: Log,
+    clip: Path,
+    undisturbed: dict[str, tuple[int, str]],
+    call: int,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    calls = 0
+    append = Log.append
+
+    def counted(self: Log, *arguments: Any, **named: Any) -> Any:
+        nonlocal calls
+        calls += 1
+        if calls == call:
+            raise Stopped
+        return append(self, *arguments, **named)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Log, "append", counted)
+        try:
+            extract_motion(job(log, clip))
+        except Stopped:
+            assert heads(log) != undisturbed
+    assert calls >= call, "the clip has so many appends"
+    extract_motion(job(log, clip))
+    assert heads(log) == undisturbed
+
+
+def test_a_second_run_does_nothing(log: Log, clip: Path) -> None:
+    first = extract_motion(job(log, clip))
+    before = heads(log)
+    second = extract_motion(job(log, clip))
+    assert second.was_done
+    assert (second.process, second.frames, second.events) == (first.process, first.frames, first.events)
+    assert heads(log) == before
+
+
+def test_again_is_a_process_of_its_own_with_tracks_of_its_own(log: Log, clip: Path) -> None:
+    first = extract_motion(job(log, clip))
+    again = extract_motion(job(log, clip, run=2))
+    assert again.process != first.process
+    assert again.events == first.events
+    tracks = [row.track_id for row in said(log, extraction.TrackPoint)]
+    assert len(set(tracks[: len(tracks) // 2]) & set(tracks[len(tracks) // 2 :])) == 0
+    assert len(said(log, VideoAdded)) == 1
+
+
+def test_another_video_on_the_same_source_follows(log: Log, clip: Path, tmp_path: Path) -> None:
+    extract_motion(job(log, clip))
+    other = write_clip(tmp_path / "other.mp4", [Walk(1.5, 4.5, (300, 120), (20, 200))], seconds=5, seed=8)
+    done = extract_motion(job(log, other, started_at=START + timedelta(hours=1)))
+    assert len(said(log, ProcessFinished)) == 2
+    assert done.frames == 50
+
+
+def test_a_process_left_unfinished_is_given_up_when_another_begins(log: Log, clip: Path, tmp_path: Path) -> None:
+    with pytest.raises(Stopped):
+        extract_motion(job(log, clip, on_progress=stop_at(3)))
+    (unfinished,) = said(log, ProcessStarted)
+    notes: list[str] = []
+    other = write_clip(tmp_path / "other.mp4", seconds=3, seed=8)
+    extract_motion(job(log, other, on_note=notes.append))
+    (failed,) = said(log, ProcessFailed)
+    assert failed.process == unfinished.process
+    assert "given up" in failed.error
+    assert any(unfinished.process in note for note in notes)
+    before = heads(log)
+    with pytest.raises(WorldFailed, match=r"failed before.*given up.*Next: .*--again 2"):
+        extract_motion(job(log, clip))
+    assert heads(log) == before
+
+
+def test_two_extractions_on_one_source_at_once_are_one_error(
+    log: Log, clip: Path, undisturbed: dict[str, tuple[int, str]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(extraction, "exclusively", _impatiently(extraction.exclusively))
+    refused: list[str] = []
+
+    def second(done: int, _: int | None) -> None:
+        if done == 20:
+            with reopened(log) as other, pytest.raises(WorldFailed) as caught:
+                extract_motion(job(other, clip))
+            refused.append(str(caught.value))
+
+    extract_motion(job(log, clip, on_progress=second))
+    assert refused == [
+        "another command is at work on source gate of station brno. Next: wait until it has ended, then run this again"
+    ]
+    assert heads(log) == undisturbed
+
+
+def _impatiently(exclusively: Callable[..., Any]) -> Callable[..., Any]:
+    return lambda log, what: exclusively(log, what, patience_s=0.1)
+
+
+def test_two_sources_at_once_do_not_hinder_each_other(log: Log, clip: Path) -> None:
+    def second(done: int, _: int | None) -> None:
+        if done == 20:
+            extract_motion(job(log, clip, source="yard"))
+
+    extract_motion(job(log, clip, on_progress=second))
+    assert [len(said(log, ProcessFinished, source)) for source in ("gate", "yard")] == [1, 1]
+
+
+def test_who_appends_to_the_source_meanwhile_is_told_of(log: Log, clip: Path) -> None:
+    def meddle(done: int, _: int | None) -> None:
+        if done == 30:
+            stream = job(log, clip).stream(extraction.TrackPoint)
+            segment = next(log.read(stream))
+            log.append([extraction.encode(stream, decode(segment, log.catalogue), segment.header.producer)])
+
+    with pytest.raises(
+        WorldFailed, match=r"somebody else appends to source gate: stream brno/gate/track_point .*Next: "
+    ):
+        extract_motion(job(log, clip, on_progress=meddle))
+    assert said(log, ProcessFailed) == []
+
+
+def test_the_start_is_the_files_modification_time_if_need_be(log: Log, clip: Path, tmp_path: Path) -> None:
+    copy = Path(shutil.copy(clip, tmp_path / "copy.mp4"))
+    os.utime(copy, (0, START.timestamp()))
+    notes: list[str] = []
+    done = extract_motion(job(log, copy, started_at=None, on_note=notes.append))
+    assert done.video.started_at == START
+    assert [note for note in notes if "modification time" in note] == notes
+    assert len(notes) == 1
+
+
+def test_another_start_for_a_known_video_is_refused(log: Log, clip: Path) -> None:
+    extract_motion(job(log, clip))
+    with pytest.raises(WrongUsage, match=r"with the start 2026-01-01T10:00:00\+00:00, got 2026-01-01T11:00:00\+00:00"):
+        extract_motion(job(log, clip, started_at=START + timedelta(hours=1)))
+    assert extract_motion(job(log, clip, started_at=None)).was_done
+
+
+def test_the_work_bears_the_wall_clocks_time_unless_told_otherwise(log: Log, clip: Path) -> None:
+    before = datetime.now(UTC)
+    extract_motion(Job(log=log, station="brno", source="gate", path=clip, started_at=START))
+    (finished,) = said(log, ProcessFinished)
+    assert before <= finished.time <= datetime.now(UTC)
+    assert {point.time.year for point in said(log, extraction.TrackPoint)} == {2026}
+    assert said(log, extraction.TrackPoint)[0].time < START + timedelta(seconds=6)
+
+
+def test_progress_is_said_now_and_then(log: Log, tmp_path: Path) -> None:
+    long = write_clip(tmp_path / "long.mp4", seconds=21, size=(160, 120))
+    extract_motion(job(log, long))
+    progress = said(log, ProcessProgressed)
+    assert [event.note for event in progress] == [None, None]
+    assert [(event.time - START).total_seconds() // 10 for event in progress] == [1, 2]
+
+
+@pytest.mark.parametrize("name, value", [("source", "a b"), ("source", ""), ("station", "a/b")])
+def test_a_name_outside_the_grammar_is_refused(log: Log, clip: Path, name: str, value: str) -> None:
+    with pytest.raises(InvalidName):
+        extract_motion(job(log, clip, **{name: value}))
+    assert log.head() == 0
+
+
+@pytest.mark.parametrize("bad", ["missing", "directory", "empty", "text", "noise"])
+def test_what_is_no_video_leaves_no_trace(log: Log, tmp_path: Path, bad: str) -> None:
+    path = tmp_path / bad
+    contents = {"empty": b"", "text": b"this is not a video\n" * 50, "noise": bytes(range(256)) * 40}
+    if bad == "directory":
+        path.mkdir()
+    elif bad != "missing":
+        path.write_bytes(contents[bad])
+    with pytest.raises(VideoUnreadable, match=str(path)):
+        extract_motion(job(log, path))
+    assert log.head() == 0
+
+
+def test_a_video_that_breaks_off_gives_what_is_there_and_a_gap(log: Log, tmp_path: Path, clip: Path) -> None:
+    whole = write_clip(tmp_path / "whole.avi", seconds=6)
+    cut = tmp_path / "cut.avi"
+    cut.write_bytes(whole.read_bytes()[: whole.stat().st_size // 2])
+    done = extract_motion(job(log, cut))
+    assert 20 < done.frames < 40
+    assert done.gaps >= 1
+    notes = [event.note for event in said(log, ProcessProgressed) if event.note]
+    assert len(notes) == done.gaps
+    assert notes[-1].startswith(f"before frame {done.frames}: ")
+    (finished,) = said(log, ProcessFinished)
+    assert finished.gaps == done.gaps
+
+
+def test_gaps_are_recorded_where_they_are(log: Log, clip: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    gap = Gap(25, GapReason.CORRUPT, "3 packets did not decode")
+    monkeypatch.setattr(extraction.video, "frames", _changed(video.frames, lambda frame: frame.index == 25, gap))
+    done = extract_motion(job(log, clip))
+    assert (done.frames, done.gaps) == (60, 1)
+    assert [event.note for event in said(log, ProcessProgressed)] == ["before frame 25: 3 packets did not decode"]
+
+
+def test_a_video_that_fails_halfway_keeps_what_was_said(log: Log, clip: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with monkeypatch.context() as patched:
+        died = DecoderDied(f"{clip}: the decoder was ended by signal SIGSEGV after frame 44")
+        patched.setattr(extraction.video, "frames", _changed(video.frames, lambda frame: frame.index == 45, died))
+        with pytest.raises(DecoderDied):
+            extract_motion(job(log, clip))
+    (failed,) = said(log, ProcessFailed)
+    assert (failed.frames, failed.error) == (45, str(died))
+    points = said(log, extraction.TrackPoint)
+    assert points
+    assert failed.events >= len(points)
+    before = heads(log)
+    with pytest.raises(WorldFailed, match=r"failed before, after 45 frames: .*SIGSEGV.*--again 2"):
+        extract_motion(job(log, clip))
+    assert heads(log) == before
+    assert extract_motion(job(log, clip, run=2)).frames == 60
+
+
+def _changed(frames: Callable[..., Iterator[Frame | Gap]], is_there: Callable[[Frame], bool], what: Any) -> Any:
+    """The function `frames`, with a gap or an error before a frame."""
+
+    def changed(path: Path) -> Iterator[Frame | Gap]:
+        for item in frames(path):
+            if isinstance(item, Frame) and is_there(item):
+                if isinstance(what, Exception):
+                    raise what
+                yield what
+            yield item
+
+    return changed
+
+
+def test_a_database_that_goes_away_and_comes_back_is_waited_for(
+    log: Log, clip: Path, undisturbed: dict[str, tuple[int, str]], server: Server
+) -> None:
+    notes: list[str] = []
+
+    def note(text: str) -> None:
+        notes.append(text)
+        allow_connections(log, server)
+
+    extract_motion(job(log, clip, on_progress=cut_off(log, server), on_note=note))
+    assert heads(log) == undisturbed
+    assert len(notes) == 1
+    assert notes[0].startswith("waiting: ")
+
+
+def test_a_database_that_stays_away_is_told_with_the_next_step(
+    log: Log, clip: Path, undisturbed: dict[str, tuple[int, str]], server: Server
+) -> None:
+    with pytest.raises(LogUnavailable, match=r"waited 0\.1 s for it.*run the same command again"):
+        extract_motion(job(log, clip, on_progress=cut_off(log, server), database_wait_s=0.1))
+    allow_connections(log, server)
+    extract_motion(job(log, clip))
+    assert heads(log) == undisturbed
+
+
+def cut_off(log: Log, server: Server) -> Callable[[int, int | None], None]:
+    """Takes the database away after thirty frames."""
+    name = psycopg.conninfo.conninfo_to_dict(log.dsn)["dbname"]
+
+    def on_progress(done: int, _: int | None) -> None:
+        if done == 30:
+            server.execute(f"alter database {name} allow_connections false")
+            server.execute(f"select pg_terminate_backend(pid) from pg_stat_activity where datname = '{name}'")
+
+    return on_progress
+
+
+def allow_connections(log: Log, server: Server) -> None:
+    name = psycopg.conninfo.conninfo_to_dict(log.dsn)["dbname"]
+    server.execute(f"alter database {name} allow_connections true")
+
+
+def test_the_hostile_video_is_survived(log: Log, vian_data: Path) -> None:
+    done = extract_motion(job(log, vian_data / "video/hostile/bgs_demo.avi"))
+    assert (done.frames, done.video.width, done.video.height) == (51, 48, 48)
+    assert len(said(log, ProcessFinished)) == 1
+
+
+def test_a_real_video_has_tracks_of_plausible_size(log: Log, vian_data: Path) -> None:
+    done = extract_motion(job(log, vian_data / "video/intel_previews_gif/person-bicycle-car-detection.gif"))
+    assert (done.video.width, done.video.height) == (480, 270)
+    assert done.frames == 41
+    assert said(log, ProcessFinished)[0].events == done.events
