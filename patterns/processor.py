@@ -13,9 +13,10 @@ is set aside and named; the others go on.
 import json
 import logging
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
+from functools import partial
 from typing import Any
 
 import pyarrow as pa
@@ -127,14 +128,24 @@ def deploy(log: Log, station: str, rules: Sequence[Rule], texts: Mapping[str, st
 class Processor:
     """Runs rules over one log. Not for several threads at once."""
 
-    def __init__(self, log: Log, station: str, rules: Sequence[Rule]) -> None:
+    def __init__(
+        self, log: Log, station: str, rules: Sequence[Rule], now: Callable[[], datetime] | None = None
+    ) -> None:
         """Build a processor that goes on where the rules' checkpoints stand.
+
+        Args:
+            log: The log.
+            station: This station, in whose streams the situations go.
+            rules: The rules.
+            now: The clock on the wall, by which a rule's `time.idle` is judged; without one, a silent
+                source holds the watermark until its process ends, as a replay needs it.
 
         Raises:
             PatternError: A rule does not fit the catalogue, or its saved state is not its own.
         """
         self._log = log
         self._station = station
+        self._now = now
         self._schemas = schemas(log.catalogue)
         self._rules = list(rules)
         self._running: list[_Running] = []
@@ -169,14 +180,16 @@ class Processor:
             self._reset()
         before = self._subscription.position
         delivery = self._subscription.poll(timeout_s)
-        if not delivery.segments:
+        if not delivery.segments and self._now is None:
             return Step(delivery.position, delivery.is_caught_up, 0)
         # Until the commit the rules' state is ahead of the log; if that fails, both begin again from there.
         self._is_stale = True
         self._subscription.position = before
         try:
             drafts = [draft for segment in delivery.segments for draft in self._found(segment)]
-            self._commit(delivery.position, drafts)
+            drafts += self._found_idle() if delivery.is_caught_up else []
+            if delivery.segments or drafts:
+                self._commit(delivery.position, drafts)
         except _Overtaken as error:
             logger.warning("%s; going on from the log", error)
             return Step(before, False, 0)
@@ -206,20 +219,36 @@ class Processor:
         events = events_of(batch) if batch.type in _CONTROL else []
         drafts = []
         for running in self._running:
-            if running.failure is not None or segment.position <= running.saved:
-                continue
-            try:
-                matches = [match for outcome in self._outcomes(running, rows, events, segment) for match in outcome]
-            except PatternError as error:
-                running.failure = error
-                logger.error("rule %s is set aside at position %d: %s", running.rule.rule, segment.position, error)
-                continue
-            drafts += self._drafts(running.rule, matches)
+            if segment.position > running.saved:
+                drafts += self._guarded(running, partial(self._outcome, running, rows, events, segment))
         return drafts
 
-    def _outcomes(
+    def _found_idle(self) -> list[Draft]:
+        """The situations that become final because a source has been silent for the rule's idle time."""
+        if self._now is None:
+            return []
+        now = self._now()
+        drafts = []
+        for running in self._running:
+            if running.rule.time.idle is not None:
+                drafts += self._guarded(running, partial(running.run.advance_idle, now))
+        return drafts
+
+    def _guarded(self, running: _Running, find: Callable[[], Outcome]) -> list[Draft]:
+        """The drafts of what a rule found; none if it raises, which sets it aside."""
+        if running.failure is not None:
+            return []
+        try:
+            matches = find().matches
+        except PatternError as error:
+            running.failure = error
+            logger.error("rule %s is set aside: %s", running.rule.rule, error)
+            return []
+        return self._drafts(running.rule, matches)
+
+    def _outcome(
         self, running: _Running, rows: pa.RecordBatch, events: Sequence[EventType], segment: Segment
-    ) -> list[tuple[Match, ...]]:
+    ) -> Outcome:
         source = segment.stream.source
         outcomes: list[Outcome] = []
         if segment.stream.type == running.run.bound.type:
@@ -229,10 +258,13 @@ class Processor:
                 running.run.set_frame_size(source, event.width, event.height)
             else:
                 outcomes.append(running.run.source_ended(source))
-        for outcome in outcomes:
-            for late in outcome.late:
-                logger.warning("rule %s: %s/%d came too late", running.rule.rule, late.stream, late.sequence)
-        return [outcome.matches for outcome in outcomes]
+        whole = Outcome(
+            tuple(match for outcome in outcomes for match in outcome.matches),
+            tuple(late for outcome in outcomes for late in outcome.late),
+        )
+        for late in whole.late:
+            logger.warning("rule %s: %s/%d came too late", running.rule.rule, late.stream, late.sequence)
+        return whole
 
     def _drafts(self, rule: Rule, matches: Sequence[Match]) -> list[Draft]:
         by_source: dict[str, list[SituationDetected]] = {}
@@ -261,7 +293,7 @@ class Processor:
         stored = transaction.checkpoint(name).position
         if stored != running.saved:
             raise _Overtaken(f"rule {running.rule.rule} was moved from position {running.saved} to {stored}")
-        if position > running.saved:
+        if position >= running.saved:
             transaction.save_checkpoint(name, position, running.run.state())
 
     def _restore(self) -> None:
