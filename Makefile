@@ -21,7 +21,7 @@ demo: $(VENV)/installed  ## real video to events, situations, an answer in SQL a
 	$(BIN)/vian demo
 
 test: $(VENV)/installed  ## the whole test suite on a real PostgreSQL
-	$(BIN)/python -m pytest --cov --cov-report=term $(PYTEST_ARGS)
+	$(BIN)/python -m pytest --numprocesses auto --dist worksteal --cov --cov-report=term:skip-covered $(PYTEST_ARGS)
 
 lint: $(VENV)/installed  ## ruff, format included
 	$(BIN)/ruff check .

@@ -61,7 +61,7 @@ def processor_part(log: Log, station: str, path: Path) -> Part:
     """The rules of a file or folder, deployed and run as a supervised part."""
     rules = load_all([path])
     deploy_all(log, station, rules)
-    processor = Processor(log, station, rules)
+    processor = Processor(log, station, rules, now=utc_now)
     told: set[str] = set()
 
     def step() -> None:

@@ -18,6 +18,7 @@ from vian.errors import WorldFailed, WrongUsage
 from vian.options import opened, settings_for
 from vian.output import Output
 from vian.parts import Parts, stepping
+from vian.replication import utc_now
 from vian.rules import deploy_all, load_all
 
 app = typer.Typer(help="Check rule files, and run them over the log.", no_args_is_help=True)
@@ -72,7 +73,7 @@ def run(
     with opened(settings, data_dir=data_dir, is_made=True) as log:
         for rule in deploy_all(log, settings.station, rules):
             output.note(f"deployed {rule.rule} version {rule.version}")
-        processor = Processor(log, settings.station, rules)
+        processor = Processor(log, settings.station, rules, now=None if once else utc_now)
         found = 0
         if once:
             found = processor.catch_up()
