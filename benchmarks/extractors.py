@@ -1,0 +1,111 @@
+"""How fast extraction is, beside OpenCV on the same frames in the same run.
+
+    python -m benchmarks.extractors [--quick] [--threads N] [VIDEO ...]
+
+Two tables, medians of five rounds in which the candidates take turns:
+
+- decode: frames per second out of `extractors.video` (PyAV in a process of its own), PyAV in this
+  process, and OpenCV's reader, which is not safe (docs/decisions/0006-video-decoding.md);
+- motion: the motion extractor from decoded frames to batches of events, beside OpenCV's MOG2 alone.
+
+Without a video it renders the synthetic street.
+"""
+
+import argparse
+import statistics
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+
+import av
+import cv2
+
+from extractors import scene
+from extractors.media import Frame
+from extractors.motion import MotionConfig, extract
+from extractors.video import frames
+
+ROUNDS = 5
+START = datetime(2026, 1, 1, tzinfo=UTC)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Measure, and print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("videos", nargs="*", type=Path, metavar="VIDEO")
+    parser.add_argument("--quick", action="store_true", help="one round of 100 frames")
+    parser.add_argument("--threads", type=int, default=1, help="OpenCV's threads (default 1)")
+    options = parser.parse_args(arguments)
+    cv2.setNumThreads(options.threads)
+    rounds, frames_max = (1, 100) if options.quick else (ROUNDS, 400)
+    with tempfile.TemporaryDirectory() as folder:
+        for video in options.videos or [_street(Path(folder))]:
+            _measure(video, rounds, frames_max)
+
+
+def _measure(video: Path, rounds: int, frames_max: int) -> None:
+    pictures = [frame for frame in frames(video) if isinstance(frame, Frame)][:frames_max]
+    height, width = pictures[0].image.shape[:2]
+    print(f"\n{video.name}: {len(pictures)} frames of {width}x{height}, {rounds} rounds")
+    decoders: dict[str, Callable[[], int]] = {
+        "extractors.video": lambda: sum(isinstance(item, Frame) for item in frames(video)),
+        "PyAV in this process": lambda: _decoded_in_process(video),
+        "OpenCV in this process": lambda: _decoded_by_opencv(video),
+    }
+    _table("decode", decoders, rounds, reference="PyAV in this process")
+    workers: dict[str, Callable[[], int]] = {
+        "motion extractor": lambda: _extracted(pictures),
+        "OpenCV MOG2 alone": lambda: _subtracted(pictures),
+    }
+    _table("motion", workers, rounds, reference="OpenCV MOG2 alone")
+
+
+def _table(title: str, candidates: dict[str, Callable[[], int]], rounds: int, reference: str) -> None:
+    rates: dict[str, list[float]] = {name: [] for name in candidates}
+    for _ in range(rounds):
+        for name, work in candidates.items():
+            begin = time.perf_counter()
+            count = work()
+            rates[name].append(count / (time.perf_counter() - begin))
+    base = statistics.median(rates[reference])
+    print(f"{title:<26}{'frames/s':>10}{'ms/frame':>10}{'ratio':>8}")
+    for name, values in rates.items():
+        rate = statistics.median(values)
+        print(f"{name:<26}{rate:>10.0f}{1000 / rate:>10.2f}{rate / base:>8.2f}")
+
+
+def _extracted(pictures: list[Frame]) -> int:
+    *_, last = extract(pictures, MotionConfig(), start_time=START)
+    return last.frames
+
+
+def _subtracted(pictures: list[Frame]) -> int:
+    subtractor = cv2.createBackgroundSubtractorMOG2()
+    for picture in pictures:
+        subtractor.apply(picture.image)
+    return len(pictures)
+
+
+def _decoded_in_process(video: Path) -> int:
+    with av.open(str(video)) as container:
+        return sum(1 for frame in container.decode(video=0) if frame.to_ndarray(format="bgr24").size)
+
+
+def _decoded_by_opencv(video: Path) -> int:
+    capture = cv2.VideoCapture(str(video))
+    count = 0
+    while capture.read()[0]:
+        count += 1
+    return count
+
+
+def _street(folder: Path) -> Path:
+    path = folder / "street.mp4"
+    scene.write(scene.street(), path)
+    return path
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,94 @@
+"""Every parameter of the motion extractor, with its unit and its reason.
+
+Lengths are shares of the picture's height or of an object's own size, durations are seconds, so one
+configuration serves other resolutions and frame rates. The defaults come from reasoning and from
+several clips of different kinds (docs/decisions/0007-motion-and-tracking.md), not from one data set.
+"""
+
+import hashlib
+import json
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict, Field
+
+NAME = "motion"
+"""name of this extractor in the log"""
+VERSION = "1"
+"""version of its method; a change that says other things for the same frames raises it"""
+
+Share = Annotated[float, Field(ge=0, le=1)]
+Positive = Annotated[float, Field(gt=0)]
+
+
+class MotionConfig(BaseModel):
+    """How motion is found and followed."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
+
+    analysis_lines: Annotated[int, Field(ge=60)] = 360
+    """pictures with twice this height or more are first shrunk by the whole number that brings them
+    nearest above it, px"""
+
+    memory_s: Positive = 40.0
+    """time constant of the background model, s"""
+    absorb_s: Positive = 10.0
+    """time after which what nobody follows and what stands still is background, s"""
+    variance_threshold: Positive = 25.0
+    """squared distance to the background, in variances, from which a pixel is foreground"""
+    is_shadow_removed: bool = True
+    """whether darker pixels of unchanged colour count as background"""
+    tone_max: Annotated[float, Field(ge=0, le=255)] = 40.0
+    """strongest change of the picture's tones that is undone (exposure, white balance), grey levels"""
+    light_share_max: Share = 0.6
+    """share of the picture in the foreground from which it is a change of light, not objects"""
+    light_settle_s: Positive = 0.5
+    """duration of such a change after which the background is learnt anew, s"""
+
+    close_share: Share = 0.02
+    """height of the gaps that are closed within an object, of the picture's height; width is half of it"""
+    area_share_min: Share = 0.0005
+    """smallest object, of the picture's area"""
+
+    position_noise: Positive = 0.06
+    """standard deviation of a measured position, of the object's size (root of its box's area)"""
+    size_noise: Positive = 0.12
+    """standard deviation of a measured width or height, of the object's size"""
+    acceleration: Positive = 0.8
+    """standard deviation of the acceleration, object sizes per s² and root of Hz"""
+    size_drift: Positive = 0.5
+    """standard deviation of the change of width and height after one second, of the object's size"""
+    gate: Positive = 16.0
+    """largest squared Mahalanobis distance between a track and a detection it may take (chi-square, 2
+    degrees of freedom: 16 is 99.97 %)"""
+
+    confirm_s: Positive = 0.4
+    """a track is confirmed when seen for this long ..., s"""
+    confirm_hits: Annotated[int, Field(ge=2)] = 3
+    """... in this many frames at least ..."""
+    confirm_path: Annotated[float, Field(ge=0)] = 0.4
+    """... and moved so far from its beginning, in object sizes: leaves, noise and ghosts do not"""
+    forget_s: Positive = 0.25
+    """a tentative track not seen for longer is dropped, s"""
+    lost_s: Positive = 2.0
+    """a confirmed track not seen for longer ends, s"""
+    lag_s: Positive = 0.8
+    """points are emitted this much later, in order of time, so that the first points of a confirmed
+    track and short misses within a track are included, s"""
+
+    stand_radius: Positive = 0.3
+    """a confirmed track stands while it stays within this distance of one place, object sizes ..."""
+    stand_after_s: Positive = 1.5
+    """... for longer than this; the background under it is kept from then on, s"""
+    stand_max_s: Positive = 300.0
+    """after standing so long an object becomes background and its track ends, s"""
+
+    activity_gap_s: Positive = 1.0
+    """quiet spans up to this length do not end an activity interval, s"""
+    batch_s: Positive = 1.0
+    """media time of one batch of events, s"""
+
+    @property
+    def config_hash(self) -> bytes:
+        """SHA-256 of the configuration's canonical form, 32 bytes."""
+        canonical = json.dumps(self.model_dump(mode="json"), sort_keys=True, separators=(",", ":"))
+        return hashlib.sha256(canonical.encode()).digest()

@@ -1,0 +1,206 @@
+"""From tracks to events, in order of time and in batches that depend on the media only.
+
+Contract: a point is emitted `lag_s` after its picture, so that what became known in between can be
+heeded: points of a track that was confirmed only then are included, and points where a track was merely
+expected and never seen again are not. Points come in order of frame, then of track number. A track's end
+follows its last point. Batches are cut where media time passes a whole number of `batch_s`.
+"""
+
+from collections import deque
+from collections.abc import Iterable
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+
+from events import ActivityInterval, EventBatch, TrackEnded, TrackPoint, batch_of, schema_of
+from extractors.motion.config import MotionConfig
+from extractors.motion.tracks import Observed, Track
+
+Row = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class _Picture:
+    """What one picture showed, waiting for its emission; pixels of the video, not of the analysis."""
+
+    frame: int
+    time_us: int
+    tracks: tuple[Track, ...]
+    rows: npt.NDArray[np.float64]
+    """`x y x1 y1 x2 y2 vx vy confidence`, `(n, 9)`"""
+    area_share: float
+
+
+@dataclass(slots=True)
+class _Path:
+    """What is known of a track's emitted points."""
+
+    first_frame: int
+    first_us: int
+    first_xy: Row
+    last_frame: int
+    last_us: int
+    last_xy: Row
+    points: int = 1
+    length_px: float = 0.0
+
+
+@dataclass(slots=True)
+class _Activity:
+    """The open activity interval."""
+
+    first_frame: int
+    first_us: int
+    last_frame: int
+    last_us: int
+    tracks_max: int
+    area_share_max: float
+
+
+class Emission:
+    """Holds back what is not yet certain, and turns the rest into batches."""
+
+    def __init__(self, config: MotionConfig, start_time: datetime) -> None:
+        self._config = config
+        self._start_time = start_time
+        self._held: deque[_Picture] = deque()
+        self._points: list[tuple[int, int, int, Row]] = []  # time, track number, frame, row
+        self._paths: dict[int, _Path] = {}
+        self._ended: list[Track] = []
+        self._ends: list[TrackEnded] = []
+        self._activity: _Activity | None = None
+        self._intervals: list[ActivityInterval] = []
+
+    def add(self, frame: int, time_us: int, observed: Observed, scale: float, area_share: float) -> None:
+        """Take in one picture, and release what is old enough.
+
+        Args:
+            frame: Its number.
+            time_us: Its time, µs.
+            observed: The tracks in it, px of the analysed picture.
+            scale: Pixels of the video for one of the analysed picture.
+            area_share: Share of the picture in motion.
+        """
+        boxes = observed.boxes_xyxy
+        pixels = np.concatenate([observed.means[:, :2], boxes, observed.means[:, 4:]], axis=1) * scale
+        rows = np.concatenate([pixels, observed.confidence[:, None]], axis=1)
+        self._held.append(_Picture(frame, time_us, observed.tracks, rows, area_share))
+        self._ended += observed.ended
+        self._release(time_us - round(self._config.lag_s * 1e6))
+
+    def close(self, ended: Iterable[Track]) -> None:
+        """Release everything: no more pictures come, or of another kind; these tracks ended with it."""
+        self._ended += ended
+        if self._held:
+            self._release(self._held[-1].time_us)
+        self._close_activity()
+
+    def take(self) -> tuple[EventBatch, ...]:
+        """The batches of what was released since the last call: points, ends, intervals."""
+        batches = []
+        if self._points:
+            batches.append(self._point_batch())
+        if self._ends:
+            batches.append(batch_of(self._ends))
+        if self._intervals:
+            batches.append(batch_of(self._intervals))
+        self._points, self._ends, self._intervals = [], [], []
+        return tuple(batches)
+
+    def _release(self, until_us: int) -> None:
+        while self._held and self._held[0].time_us <= until_us:
+            self._emit(self._held.popleft())
+        oldest_us = self._held[0].time_us if self._held else until_us + 1
+        for track in [t for t in self._ended if t.last_seen_us < oldest_us]:
+            self._ended.remove(track)
+            self._end(track)
+
+    def _emit(self, picture: _Picture) -> None:
+        known = [
+            (track.track_id, row)
+            for track, row in zip(picture.tracks, picture.rows, strict=True)
+            if track.track_id and track.last_seen_frame >= picture.frame
+        ]
+        for track_id, row in sorted(known, key=lambda pair: pair[0]):
+            self._points.append((picture.time_us, track_id, picture.frame, row))
+            self._extend(track_id, picture, row[:2])
+        self._note_activity(picture, len(known))
+
+    def _extend(self, track_id: int, picture: _Picture, xy: Row) -> None:
+        path = self._paths.get(track_id)
+        if path is None:
+            self._paths[track_id] = _Path(picture.frame, picture.time_us, xy, picture.frame, picture.time_us, xy)
+            return
+        path.length_px += float(np.hypot(*(xy - path.last_xy)))
+        path.last_frame, path.last_us, path.last_xy = picture.frame, picture.time_us, xy
+        path.points += 1
+
+    def _end(self, track: Track) -> None:
+        path = self._paths.pop(track.track_id)
+        assert track.end_reason is not None
+        self._ends.append(
+            TrackEnded(
+                time=self._time(path.last_us),
+                track_id=track.track_id,
+                began_at=self._time(path.first_us),
+                first_frame=path.first_frame,
+                last_frame=path.last_frame,
+                points=path.points,
+                path_px=path.length_px,
+                x_entry=path.first_xy[0],
+                y_entry=path.first_xy[1],
+                x_exit=path.last_xy[0],
+                y_exit=path.last_xy[1],
+                reason=track.end_reason,
+            )
+        )
+
+    def _note_activity(self, picture: _Picture, tracks: int) -> None:
+        now = self._activity
+        if now and picture.time_us - now.last_us > self._config.activity_gap_s * 1e6:
+            self._close_activity()
+            now = None
+        if not tracks:
+            return
+        if now is None:
+            self._activity = _Activity(
+                picture.frame, picture.time_us, picture.frame, picture.time_us, tracks, picture.area_share
+            )
+            return
+        now.last_frame, now.last_us = picture.frame, picture.time_us
+        now.tracks_max = max(now.tracks_max, tracks)
+        now.area_share_max = max(now.area_share_max, picture.area_share)
+
+    def _close_activity(self) -> None:
+        now, self._activity = self._activity, None
+        if now:
+            self._intervals.append(
+                ActivityInterval(
+                    time=self._time(now.first_us),
+                    ended_at=self._time(now.last_us),
+                    first_frame=now.first_frame,
+                    last_frame=now.last_frame,
+                    tracks_max=now.tracks_max,
+                    area_share_max=now.area_share_max,
+                )
+            )
+
+    def _point_batch(self) -> EventBatch:
+        schema = schema_of(TrackPoint)
+        times, track_ids, frames, rows = zip(*self._points, strict=True)
+        start_us = round(self._start_time.timestamp() * 1e6)
+        names = ("x", "y", "x1", "y1", "x2", "y2", "vx", "vy", "confidence")
+        columns: dict[str, npt.NDArray[np.generic]] = {
+            "time": np.array(times, np.int64) + start_us,
+            "track_id": np.array(track_ids, np.int64),
+            "frame": np.array(frames, np.int64),
+            **dict(zip(names, np.array(rows, np.float32).T, strict=True)),
+        }
+        arrays = [pa.array(columns[field.name]).cast(field.type) for field in schema]
+        return EventBatch(TrackPoint, pa.RecordBatch.from_arrays(arrays, schema=schema))
+
+    def _time(self, time_us: int) -> datetime:
+        return self._start_time + timedelta(microseconds=time_us)

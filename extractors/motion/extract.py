@@ -1,0 +1,173 @@
+"""Motion from frames: what moved, where and when.
+
+Contract: frames and gaps in, events out, the same bytes for the same frames and configuration, on any
+number of threads. When the frames end with an error, all that was certain before it comes out first;
+tracks that were open then have no end, because nobody saw it.
+
+It knows neither source nor log: whoever calls it gives the events their stream.
+"""
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from datetime import datetime
+
+import cv2
+import numpy as np
+
+from events import EventBatch
+from extractors.errors import VideoError
+from extractors.media import Frame, Gap, GapReason, Image
+from extractors.motion import blobs
+from extractors.motion.background import Background, Foreground
+from extractors.motion.config import MotionConfig
+from extractors.motion.emission import Emission
+from extractors.motion.tracks import EndReason, Observed, Tracks
+
+DT_MAX_S = 1.0
+"""A longer pause between two frames is bridged as if it had been so long."""
+
+
+@dataclass(frozen=True, slots=True)
+class Extraction:
+    """What one interval of media time brought, and how far the work has come."""
+
+    batches: tuple[EventBatch, ...]
+    """events: points, ends of tracks, activity intervals, in this order; empty where nothing moved"""
+    frames: int
+    """frames worked on since the beginning"""
+    time_us: int
+    """media time of the last of them, µs"""
+    gaps: tuple[Gap, ...]
+    """gaps met within the interval"""
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """What was made of one frame, for who wants to look on; px of the analysed picture."""
+
+    scale: float
+    """pixels of the frame for one of the analysed picture"""
+    foreground: Foreground
+    blobs_xyxy: blobs.BoxesXyxy
+    observed: Observed
+
+
+OnFrame = Callable[[Frame, Seen], None]
+
+
+def extract(
+    frames: Iterable[Frame | Gap],
+    config: MotionConfig,
+    *,
+    start_time: datetime,
+    first_track_id: int = 1,
+    on_frame: OnFrame | None = None,
+) -> Iterator[Extraction]:
+    """Events of what moves in the frames, an interval of `batch_s` media time at a time.
+
+    Args:
+        frames: Frames in order of time, with the gaps between them.
+        config: The parameters.
+        start_time: Wall-clock time of the first frame (aware).
+        first_track_id: Number of the first track.
+        on_frame: Called after each frame with what was made of it.
+
+    Raises:
+        VideoError: The frames ended with it; everything certain before was yielded.
+    """
+    motion = _Motion(config, start_time, first_track_id)
+    gaps: list[Gap] = []
+    due_us = round(config.batch_s * 1e6)
+    try:
+        for item in frames:
+            if isinstance(item, Gap):
+                gaps.append(item)
+                motion.meet(item)
+                continue
+            if item.time_us >= due_us:
+                yield motion.taken(gaps)
+                gaps = []
+                due_us = (item.time_us // due_step(config) + 1) * due_step(config)
+            seen = motion.step(item)
+            if on_frame:
+                on_frame(item, seen)
+    except VideoError:
+        yield motion.taken(gaps)
+        raise
+    motion.finish()
+    yield motion.taken(gaps)
+
+
+def due_step(config: MotionConfig) -> int:
+    """Media time between two cuts, µs."""
+    return round(config.batch_s * 1e6)
+
+
+class _Motion:
+    """The method, one frame at a time."""
+
+    def __init__(self, config: MotionConfig, start_time: datetime, first_track_id: int) -> None:
+        self._config = config
+        self._emission = Emission(config, start_time)
+        self._next_track_id = first_track_id
+        self._tracks: Tracks | None = None
+        self._shape: tuple[int, ...] = ()
+        self._last: Frame | None = None
+        self._frames = 0
+
+    def step(self, frame: Frame) -> Seen:
+        """Find and follow what moves in one more frame."""
+        if self._tracks is None or frame.image.shape != self._shape:
+            self._restart(frame)
+        assert self._tracks is not None
+        dt_s = self._dt_s(frame)
+        image = shrunk(frame.image, self._factor)
+        foreground = self._background.foreground(image, dt_s, self._tracks.standing())
+        mask = blobs.cleaned(foreground.mask, self._config)
+        found = blobs.boxes(mask, self._config)
+        self._tracks.disown(foreground.ghosts)
+        trusted = None if foreground.is_light_change else found
+        observed = self._tracks.step(trusted, frame.index, frame.time_us, dt_s)
+        self._emission.add(frame.index, frame.time_us, observed, self._factor, foreground.share)
+        self._frames, self._last = self._frames + 1, frame
+        return Seen(self._factor, foreground, found, observed)
+
+    def meet(self, gap: Gap) -> None:
+        """Heed a gap: after a change of size, nothing seen before can be followed."""
+        if gap.reason is GapReason.SIZE_CHANGED:
+            self._stop("input_changed")
+
+    def finish(self) -> None:
+        """End what is open: the video is over."""
+        self._stop("end_of_video")
+
+    def taken(self, gaps: list[Gap]) -> Extraction:
+        """What came out since the last call."""
+        time_us = self._last.time_us if self._last else 0
+        return Extraction(self._emission.take(), self._frames, time_us, tuple(gaps))
+
+    def _restart(self, frame: Frame) -> None:
+        self._stop("input_changed")
+        self._shape = frame.image.shape
+        height, width = self._shape[:2]
+        self._factor = max(1, height // self._config.analysis_lines)
+        self._background = Background(self._config)
+        self._tracks = Tracks(self._config, width // self._factor, height // self._factor, self._next_track_id)
+
+    def _stop(self, reason: EndReason) -> None:
+        if self._tracks is not None:
+            self._emission.close(self._tracks.end_all(reason))
+            self._next_track_id = self._tracks.next_track_id
+            self._tracks = None
+
+    def _dt_s(self, frame: Frame) -> float:
+        since_us = frame.time_us - self._last.time_us if self._last else 0
+        return min(since_us / 1e6, DT_MAX_S)
+
+
+def shrunk(image: Image, factor: int) -> Image:
+    """The picture, smaller by a whole factor; its pixels are means of the picture's."""
+    if factor == 1:
+        return image
+    size = (image.shape[1] // factor, image.shape[0] // factor)
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
