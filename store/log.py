@@ -354,6 +354,7 @@ class Log:
                 ConnectionPool.check_connection(connection)
             except psycopg.OperationalError:
                 self._pool.putconn(connection)
+                self._knock()
             else:
                 return connection
 

@@ -22,7 +22,9 @@ class Writer:
     """A process that says when it is ready, and then waits for leave to go on."""
 
     def __init__(self, target: Callable[..., None], *arguments: Any) -> None:
-        context = get_context("spawn")
+        # Forked from a process that has no threads and has imported all that they need once.
+        context = get_context("forkserver")
+        context.set_forkserver_preload([__name__])
         self._ours, self._theirs = context.Pipe()
         self._process = context.Process(target=target, args=(*arguments, self._theirs))
         self._process.start()
