@@ -3,6 +3,7 @@
 import logging
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import pytest
 import structlog
 from typer.testing import CliRunner
 
+from extractors import video
 from tests.vian.clips import write_clip
 from vian.cli import app
 
@@ -72,3 +74,12 @@ def run() -> Run:
 def clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A video of six seconds in which one box crosses the picture."""
     return write_clip(tmp_path_factory.mktemp("clips") / "crossing.mp4")
+
+
+@pytest.fixture(scope="module")
+def decoded_once() -> Iterator[None]:
+    """Each video is decoded once: most tests here are about what becomes of its frames."""
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(video, "probe", cache(video.probe))
+        patched.setattr(video, "frames", cache(lambda path, decode=video.frames: tuple(decode(path))))
+        yield

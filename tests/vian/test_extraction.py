@@ -5,7 +5,6 @@ import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +33,8 @@ from vian import extraction
 from vian.errors import WorldFailed, WrongUsage
 from vian.extraction import Job, extract_motion, media_clock
 
+pytestmark = pytest.mark.usefixtures("decoded_once")
+
 
 class Stopped(Exception):
     """The process was stopped here."""
@@ -60,15 +61,6 @@ def stop_at(call: int) -> Callable[[int, int | None], None]:
             raise Stopped
 
     return on_progress
-
-
-@pytest.fixture(scope="module", autouse=True)
-def decoded_once() -> Iterator[None]:
-    """Each video is decoded once: most tests here are about what becomes of its frames."""
-    with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(extraction.video, "probe", cache(video.probe))
-        patched.setattr(extraction.video, "frames", cache(lambda path, decode=video.frames: tuple(decode(path))))
-        yield
 
 
 @pytest.fixture(scope="module")

@@ -8,6 +8,7 @@ video.
 import base64
 import colorsys
 import json
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from datetime import datetime
@@ -35,6 +36,7 @@ THUMBNAILS_MAX = 48
 _THUMBNAIL_HEIGHT_PX = 220
 _JPEG_QUALITY = 82
 _GOLDEN_ANGLE = 0.381966
+_TIME = re.compile(r"\b\d{4}-\d\d-\d\dT(\d\d:\d\d:\d\d(?:\.\d)?)\d*Z")
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,8 +60,9 @@ class Shape:
 
     points: str
     is_zone: bool
-    x_label: float
-    y_label: float
+    x: float
+    """of its highest corner"""
+    y: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,6 +74,8 @@ class Situation:
     version: int
     severity: str
     title: str
+    headline: str
+    """the title, its times without date and microseconds"""
     began_at: datetime
     ended_at: datetime
     seconds_in: float
@@ -132,6 +137,7 @@ def write_report(log: Log, video: Path, rules: Sequence[Rule], facts: Facts, fil
     page = _template().render(
         facts=facts,
         size=size,
+        unit=11 * max(size[0] / 1140, size[1] / 720),  # 11 px where the picture is shown in at most 1140 x 720
         span_s=span_s,
         background=_data_uri(pictures.get(busiest)),
         busiest=busiest,
@@ -140,7 +146,8 @@ def write_report(log: Log, video: Path, rules: Sequence[Rule], facts: Facts, fil
         ticks=_ticks(span_s),
         rules=rules,
         situations=[
-            _situation(row, point, start, span_s, pictures) for row, point in zip(found, deciding, strict=True)
+            _situation(row, point, start, span_s, pictures if number < THUMBNAILS_MAX else {})
+            for number, (row, point) in enumerate(zip(found, deciding, strict=True))
         ],
     )
     try:
@@ -184,7 +191,7 @@ def _shapes(rules: Sequence[Rule], size: tuple[int, int]) -> dict[Shape, str]:
 
 def _shape(pixels: Pixels, is_zone: bool) -> Shape:
     x, y = min(pixels, key=lambda corner: float(corner[1]))
-    return Shape(_svg_points(pixels), is_zone, float(x) + 4, max(14.0, float(y) - 6))
+    return Shape(_svg_points(pixels), is_zone, float(x), float(y))
 
 
 def _svg_points(pixels: Pixels) -> str:
@@ -202,6 +209,7 @@ def _situation(
         version=row["rule_version"],
         severity=row["severity"],
         title=row["title"],
+        headline=_TIME.sub(r"\1", row["title"]),
         began_at=row["began_at"],
         ended_at=row["ended_at"],
         seconds_in=ended,
@@ -245,15 +253,15 @@ def _thumbnail(image: Image, point: _Deciding) -> Image:
     """The picture around the box, which is drawn in."""
     height, width = image.shape[:2]
     x1, y1, x2, y2 = point.box_xyxy
-    side = min(max(x2 - x1, y2 - y1) * 1.6, height)
+    side = min(max(16.0, x2 - x1, y2 - y1) * 1.6, height)
     left = int(np.clip((x1 + x2 - 4 * side / 3) / 2, 0, max(0, width - 4 * side / 3)))
     top = int(np.clip((y1 + y2 - side) / 2, 0, max(0, height - side)))
-    drawn = image.copy()
-    corners = [round(float(v)) for v in point.box_xyxy]
-    cv2.rectangle(drawn, (corners[0], corners[1]), (corners[2], corners[3]), (40, 190, 255), 2)
-    cut = drawn[top : top + int(side), left : left + int(4 * side / 3)]
+    cut = image[top : top + int(side), left : left + int(4 * side / 3)]
     scale = _THUMBNAIL_HEIGHT_PX / cut.shape[0]
-    return np.asarray(cv2.resize(cut, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), np.uint8)
+    drawn = cv2.resize(cut, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR)
+    corners = [(round((x - left) * scale), round((y - top) * scale)) for x, y in ((x1, y1), (x2, y2))]
+    cv2.rectangle(drawn, corners[0], corners[1], (40, 190, 255), 2)
+    return np.asarray(drawn, np.uint8)
 
 
 def _data_uri(image: Image | None) -> str | None:

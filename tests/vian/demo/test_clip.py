@@ -158,5 +158,5 @@ def test_the_street_is_rendered_once_and_never_left_half_done(quick_street: list
 def test_without_a_place_for_it_the_next_step_is_told(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
-    with pytest.raises(WorldFailed, match="no clip can be kept in .*Next: give one with --video FILE"):
+    with pytest.raises(WorldFailed, match=r"no clip can be kept in .*Next: give one with --video FILE"):
         choose(None, NOWHERE, lambda _: None, url="http://127.0.0.1:9/x")
