@@ -77,7 +77,8 @@ def extract(
     """
     motion = _Motion(config, start_time, first_track_id)
     gaps: list[Gap] = []
-    due_us = round(config.batch_s * 1e6)
+    step_us = round(config.batch_s * 1e6)
+    due_us = step_us
     try:
         for item in frames:
             if isinstance(item, Gap):
@@ -87,7 +88,7 @@ def extract(
             if item.time_us >= due_us:
                 yield motion.taken(gaps)
                 gaps = []
-                due_us = (item.time_us // due_step(config) + 1) * due_step(config)
+                due_us = (item.time_us // step_us + 1) * step_us
             seen = motion.step(item)
             if on_frame:
                 on_frame(item, seen)
@@ -96,11 +97,6 @@ def extract(
         raise
     motion.finish()
     yield motion.taken(gaps)
-
-
-def due_step(config: MotionConfig) -> int:
-    """Media time between two cuts, µs."""
-    return round(config.batch_s * 1e6)
 
 
 class _Motion:
