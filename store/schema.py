@@ -80,7 +80,7 @@ def safe_dsn(dsn: str) -> str:
     """
     known = {name: str(value) for name, value in _parameters(dsn).items() if name != "sslpassword"}
     user, password, database = (known.pop(name, None) for name in ("user", "password", "dbname"))
-    is_one_host = not set(known.get("host", "/")) & set("/,")
+    is_one_host = not set(known.get("host", "/")) & set("/,") and known.get("port", "0").isdecimal()
     host, port = (known.pop(name, None) if is_one_host else None for name in ("host", "port"))
     url = sa.URL.create("postgresql", user, password, host, int(port) if port else None, database, known)
     return url.render_as_string(hide_password=True)

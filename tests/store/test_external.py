@@ -94,6 +94,7 @@ def test_what_is_no_address_is_refused_without_showing_it(dsn: str) -> None:
         ("postgresql://h/db?user=u&password=p&sslmode=require", "postgresql://u:***@h/db?sslmode=require"),
         ("postgresql://u@h/db?sslpassword=p", "postgresql://u@h/db"),
         ("host=h port=5 dbname=db", "postgresql://h:5/db"),
+        ("postgresql://u:p@h:port/db", "postgresql://u:***@/db?host=h&port=port"),
         ("postgresql://u:p@/db?host=/run/pg", "postgresql://u:***@/db?host=%2Frun%2Fpg"),
     ],
 )

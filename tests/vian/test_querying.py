@@ -118,7 +118,7 @@ def test_only_the_types_that_a_query_names_are_decoded(filled: Log, monkeypatch:
 
 def test_a_type_that_is_unknown_here_has_its_envelope(make_log: Callable[..., Log]) -> None:
     log = make_log(catalogue=Catalogue([*SHIPPED, VehicleWeighed]))
-    append(log, batch_of([_weighed(0), _weighed(1)]), WEIGHED)
+    append(log, batch_of([weighed(0), weighed(1)]), WEIGHED)
     append(log, points(1))
     with reopened(log) as other:
         assert rows(other, "select id, type, subject, time from events where type = 'vehicle_weighed' order by id") == [
@@ -130,7 +130,7 @@ def test_a_type_that_is_unknown_here_has_its_envelope(make_log: Callable[..., Lo
             query(other, "select * from vehicle_weighed")
 
 
-def _weighed(seconds: int) -> VehicleWeighed:
+def weighed(seconds: int) -> VehicleWeighed:
     nothing = dict.fromkeys(name for name, field in VehicleWeighed.model_fields.items() if field.is_required())
     known = {"time": START + timedelta(seconds=seconds), "face": b"", "is_heavy": True, "mass": 1.0, "axles": ()}
     return VehicleWeighed(**(nothing | known))

@@ -1,0 +1,91 @@
+"""`vian demo` and `vian doctor` at the command line; what a demo does is tried in `demo/`."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from store import Log
+from tests.conftest import MakeLog
+from tests.vian.conftest import Run
+from tests.vian.samples import append, points, reopened
+from vian.commands import demo
+
+pytestmark = pytest.mark.usefixtures("decoded_once")
+
+
+@pytest.fixture
+def central(make_log: MakeLog, monkeypatch: pytest.MonkeyPatch) -> Log:
+    """The central log is a database beside the station's, not a server of its own."""
+    log = make_log()
+    monkeypatch.setattr(demo, "open_log", lambda data_dir: reopened(log))
+    return log
+
+
+def test_a_demo_ends_with_a_summary_and_the_next_commands(log: Log, central: Log, run: Run, clip: Path) -> None:
+    ran = run("demo", "--video", clip, "--dsn", log.dsn)
+    assert ran.code == 0, ran.err
+    for text in ("frames", "60", "chains verified", "yes, heads agree", "next:   vian query", "situations: zone-int"):
+        assert text in ran.out
+    report = Path("vian-demo-report.html")
+    assert f"report: {report.resolve()}" in ran.out
+    assert "crossing" in report.read_text()
+    again = run("demo", "--video", clip, "--dsn", log.dsn, "--report", "other.html", "--json")
+    values = json.loads(again.out)
+    assert (values["origin"], values["frames"], values["sound"]) == ("given", 60, True)
+    assert values["events"] == values["events_replicated"]
+    assert sum(values["situations"].values()) == 2
+    assert Path(values["report"]).name == "other.html"
+    assert "frames" not in again.err, "progress is for terminals"
+
+
+@pytest.mark.parametrize(
+    "options, code, said",
+    [
+        (["--video", "gone.mp4"], 2, "--video must be a video file, got gone.mp4"),
+        (["--report", "gone/x.html"], 1, "the report cannot be written to gone/x.html: no such folder. Next: "),
+        (["--report", "."], 1, "the report cannot be written to ."),
+        (["--video", "text.mp4"], 1, "text.mp4: not a video that can be opened"),
+    ],
+)
+def test_a_demo_that_cannot_be_says_why(
+    log: Log, central: Log, run: Run, options: list[str], code: int, said: str
+) -> None:
+    Path("text.mp4").write_text("this is not a video\n" * 50)
+    ran = run("demo", "--dsn", log.dsn, *(options if "--video" in options else ["--video", "text.mp4", *options]))
+    assert (ran.code, ran.out) == (code, "")
+    assert said in ran.words
+
+
+def test_a_demo_leaves_another_stations_log_alone(log: Log, central: Log, run: Run, clip: Path) -> None:
+    append(log, points(1))
+    ran = run("demo", "--video", clip, "--dsn", log.dsn)
+    assert ran.code == 2
+    assert "vian demo --data-dir FOLDER" in ran.words
+    assert (log.head(), central.head()) == (1, 0)
+
+
+def test_logs_that_do_not_agree_are_an_error(
+    log: Log, central: Log, run: Run, clip: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(demo.Summary, "is_sound", False)
+    ran = run("demo", "--video", clip, "--dsn", log.dsn)
+    assert ran.code == 1
+    assert "the two logs do not verify or do not agree. Next: vian verify" in ran.words
+
+
+def test_doctor_finds_all_well(log: Log, run: Run) -> None:
+    ran = run("doctor", "--dsn", log.dsn)
+    assert ran.code == 0
+    assert "ok    packages: " in ran.out
+    assert {json.loads(line)["verdict"] for line in run("doctor", "--dsn", log.dsn, "--json").out.splitlines()} <= {
+        "ok",
+        "note",
+    }
+
+
+def test_doctor_counts_what_is_bad(run: Run) -> None:
+    ran = run("doctor", "--dsn", "postgresql://nobody@127.0.0.1:1/none?connect_timeout=1")
+    assert ran.code == 1
+    assert "bad   log: " in ran.out
+    assert "1 checks came out bad; each says what to do next" in ran.words

@@ -1,0 +1,66 @@
+"""`vian extract motion` at the command line; what it does is tried in `test_extraction`."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from store import Log, Projector
+from tests.vian.conftest import Run
+from tests.vian.samples import START, heads
+
+pytestmark = pytest.mark.usefixtures("decoded_once")
+
+
+def test_a_video_is_extracted_and_its_rows_are_there(log: Log, run: Run, clip: Path) -> None:
+    options = ("--dsn", log.dsn, "--station", "brno", "--source", "gate", "--start", "2026-01-01T10:00:00Z")
+    ran = run("extract", "motion", clip, *options, "--json")
+    values = json.loads(ran.out)
+    assert ran.code == 0
+    assert (values["source"], values["frames"], values["gaps"], values["was_done"]) == ("gate", 60, 0, False)
+    assert heads(log)["brno/gate/track_point"][0] > 30
+    (points,) = {segment.header.time_min.date() for segment in log.read_all(types=["track_point"])}
+    assert points == START.date()
+    assert Projector(log).position == log.head()
+    before = heads(log)
+    again = run("extract", "motion", clip, *options)
+    assert again.out == (
+        f"process {values['process']}: 60 frames, {values['events']} events, 0 gaps "
+        "(done in an earlier run; --again 2 repeats it as a new process)\n"
+    )
+    assert heads(log) == before
+    assert json.loads(run("extract", "motion", clip, *options, "--again", "2", "--json").out)["was_done"] is False
+
+
+def test_a_guessed_start_is_told(log: Log, run: Run, clip: Path) -> None:
+    ran = run("extract", "motion", clip, "--source", "gate", "--dsn", log.dsn)
+    assert "does not say when it was recorded: taking the file's modification time" in ran.words
+    assert ran.words.count("modification time") == 1
+
+
+@pytest.mark.parametrize(
+    "video, options, code, said",
+    [
+        ("gone.mp4", [], 1, "gone.mp4: no such file. Next: check the name"),
+        (".", [], 1, "is a directory, wanted a video file"),
+        ("text.mp4", [], 1, "text.mp4: not a video that can be opened"),
+        ("text.mp4", ["--start", "noon"], 2, "--start must be a time such as"),
+        ("text.mp4", ["--again", "0"], 2, "--again"),
+        ("text.mp4", ["--source", "a b"], 2, "'a b'"),
+        ("text.mp4", ["--station", "a/b"], 2, "'a/b'"),
+    ],
+)
+def test_what_cannot_be_extracted_is_told(
+    log: Log, run: Run, video: str, options: list[str], code: int, said: str
+) -> None:
+    Path("text.mp4").write_text("this is not a video\n" * 100)
+    ran = run("extract", "motion", video, "--dsn", log.dsn, "--source", "gate", *options)
+    assert (ran.code, ran.out) == (code, "")
+    assert said in ran.words
+    assert log.head() == 0
+
+
+def test_a_source_must_be_named(log: Log, run: Run, clip: Path) -> None:
+    ran = run("extract", "motion", clip, "--dsn", log.dsn)
+    assert ran.code == 2
+    assert "--source" in ran.words

@@ -1,0 +1,125 @@
+"""`vian rules`: check and run, and what is said of each kind of mistake."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from store import Log, Projector
+from tests.vian.conftest import Run
+from tests.vian.samples import append, points
+from tests.vian.test_rules import HIGH, SHIPPED, write_rule
+from vian.querying import query
+
+CASE = """
+tests:
+  - name: one is high
+    given:
+      - {{time: 2026-01-01T10:00:00Z, track_id: 1, x: 9}}
+      - {{time: 2026-01-01T10:00:01Z, track_id: 1, x: 1}}
+    frames: {{gate: [100, 100]}}
+    expect: [{{at: {at}}}]
+"""
+
+
+def test_the_shipped_rules_pass_their_tests(run: Run) -> None:
+    ran = run("rules", "check", SHIPPED)
+    assert ran.code == 0
+    assert "zone-intrusion v1, one track walks in" in ran.out
+    assert ran.out.count(": passed") == 4
+
+
+def test_check_prints_json(run: Run) -> None:
+    ran = run("rules", "check", SHIPPED, "--json")
+    results = [json.loads(line) for line in ran.out.splitlines()]
+    assert {result["rule"] for result in results} == {"line-crossing", "loitering", "zone-intrusion"}
+    assert all(result["passed"] for result in results if "passed" in result)
+
+
+@pytest.mark.parametrize("at, code", [(9, 0), (8, 2)])
+def test_a_test_that_fails_is_wrong_usage_and_shows_the_difference(
+    run: Run, tmp_path: Path, at: int, code: int
+) -> None:
+    path = tmp_path / "high.yaml"
+    path.write_text(HIGH.format(name="high", version=1, x=5) + CASE.format(at=at))
+    ran = run("rules", "check", path)
+    assert ran.code == code
+    if code:
+        assert "high v1, one is high: FAILED" in ran.out
+        assert "1 of 1 rules did not pass: high" in ran.words
+
+
+def test_a_rule_without_tests_fits_and_that_is_said(run: Run, tmp_path: Path) -> None:
+    ran = run("rules", "check", write_rule(tmp_path / "high.yaml"))
+    assert ran.code == 0
+    assert "high v1: fits, but has no tests" in ran.out
+
+
+@pytest.mark.parametrize(
+    "right, wrong, said",
+    [
+        ("rule: high", "rule: [", "not YAML"),
+        ("severity: info", "severity: loud", "severity"),
+        ("SELECT *", "SELEC *", "wanted SELECT, got SELEC"),
+        ("FROM track_point", "FROM nothing", "nothing"),
+        ("PARTITION BY source", "PARTITION source", "PARTITION"),
+        ("ORDER BY time", "ORDER time", "ORDER"),
+        ("MEASURES a.x AS at", "MEASURES a.nil AS at", "nil"),
+        ("ONE ROW PER MATCH", "ALL ROWS PER MATCH", "not supported yet"),
+        ("SKIP PAST LAST ROW", "SKIP SOMEWHERE", "SKIP"),
+        ("PATTERN (a)", "PATTERN (a", "PATTERN"),
+        ("PATTERN (a)", "PATTERN ()", "PATTERN"),
+        ("a.x > 5", "a.x >", "^"),
+        ("a.x > 5", "in_zone(a.x, a.y, 'yard')", "yard"),
+    ],
+)
+def test_a_mistake_in_a_rule_is_wrong_usage_with_its_place(
+    run: Run, tmp_path: Path, right: str, wrong: str, said: str
+) -> None:
+    path = tmp_path / "wrong.yaml"
+    text = HIGH.format(name="high", version=1, x=5)
+    assert right in text
+    path.write_text(text.replace(right, wrong))
+    ran = run("rules", "check", path)
+    assert ran.code == 2
+    told = ran.out + ran.err
+    assert f"{path}:" in told, told
+    assert said in told, told
+
+
+def test_rules_run_over_the_log_once_and_find_each_situation_once(log: Log, run: Run, tmp_path: Path) -> None:
+    rule = write_rule(tmp_path / "high.yaml")
+    append(log, points(2, x=9.0))
+    append(log, points(2, first_frame=5, x=0.0))
+    first = run("rules", "run", rule, "--once", "--dsn", log.dsn, "--station", "brno", "--json")
+    assert json.loads(first.out) == {"rules": 1, "situations": 2}
+    assert "deployed high version 1" in first.err
+    assert Projector(log).position == log.head(), "the row tables were brought up to the log"
+    again = run("rules", "run", rule, "--once", "--dsn", log.dsn, "--station", "brno")
+    assert again.out == "0 situations found by 1 rules\n"
+    assert again.err == ""
+    titles = query(log, "select title from situation_detected").column("title").to_pylist()
+    assert titles == ["track 1 is at 9.0", "track 1 is at 9.0"]
+
+
+def test_events_that_came_too_late_are_told(log: Log, run: Run, tmp_path: Path) -> None:
+    append(log, points(3, first_frame=100))
+    append(log, points(2))
+    ran = run("rules", "run", write_rule(tmp_path / "high.yaml"), "--once", "--dsn", log.dsn, "--station", "brno")
+    assert "rule high: 2 events came too late to take part" in ran.err
+
+
+def test_a_changed_rule_of_the_same_version_is_wrong_usage(log: Log, run: Run, tmp_path: Path) -> None:
+    path = tmp_path / "high.yaml"
+    assert run("rules", "run", write_rule(path), "--once", "--dsn", log.dsn).code == 0
+    ran = run("rules", "run", write_rule(path, x=6), "--once", "--dsn", log.dsn)
+    assert ran.code == 2
+    assert "Next: give the changed rule a new version" in ran.words
+
+
+@pytest.mark.parametrize("arguments", [["check", "gone.yaml"], ["run", "gone.yaml", "--once", "--data-dir", "log"]])
+def test_a_rule_file_that_is_not_there_is_wrong_usage(run: Run, arguments: list[str]) -> None:
+    ran = run("rules", *arguments)
+    assert ran.code == 2
+    assert "the rule file gone.yaml cannot be read" in ran.words
+    assert not Path("log").exists()

@@ -1,0 +1,170 @@
+"""What holds for every command: help with an example, exit codes, errors in one line."""
+
+import os
+import re
+import stat
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NoReturn
+
+import pytest
+import typer.main
+
+from store import LogUnavailable, WrongMajor
+from tests.vian.conftest import Run
+from vian import cli
+from vian.commands import log as log_commands
+from vian.version import VERSION
+
+
+def commands(group: Any = None, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
+    """All commands with their path, groups left out."""
+    for name, command in (group or typer.main.get_command(cli.app)).commands.items():
+        if hasattr(command, "commands"):
+            yield from commands(command, (*path, name))
+        else:
+            yield (*path, name), command
+
+
+ALL = dict(commands())
+READERS = [
+    ["streams"],
+    ["tail"],
+    ["query", "select 1"],
+    ["verify"],
+    ["project"],
+    ["psql"],
+    ["sync", "--once", "--central", "http://x", "--token-file", "token"],
+]
+
+
+def test_the_commands_are_those_that_there_should_be() -> None:
+    assert {" ".join(path) for path in ALL} == {
+        "demo", "doctor", "extract motion", "project", "psql", "query", "rules check", "rules run", "serve",
+        "station add", "streams", "sync", "tail", "verify",
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("path", ALL, ids=" ".join)
+def test_help_says_what_it_does_and_shows_an_example(run: Run, path: tuple[str, ...]) -> None:
+    ran = run(*path, "--help")
+    assert ran.code == 0
+    assert re.search(rf"Example: vian {' '.join(path)}\b", " ".join(ran.out.split()))
+    assert ALL[path].help
+
+
+@pytest.mark.parametrize("path", ALL, ids=" ".join)
+def test_every_option_is_explained(path: tuple[str, ...]) -> None:
+    for parameter in ALL[path].params:
+        assert getattr(parameter, "help", None), parameter.name
+
+
+@pytest.mark.parametrize(
+    "path", [path for path in ALL if path[0] not in ("rules", "station") or path[1] == "run"], ids=" ".join
+)
+def test_every_command_takes_an_embedded_or_an_external_log(path: tuple[str, ...]) -> None:
+    options = {option for parameter in ALL[path].params for option in parameter.opts}
+    assert {"--data-dir", "--dsn"} <= options
+    assert "--json" in options or path == ("psql",)
+
+
+def test_the_version_is_printed(run: Run) -> None:
+    assert run("--version").out == f"vian {VERSION}\n"
+
+
+@pytest.mark.parametrize("arguments", [["nothing"], ["demo", "--nothing"], ["extract"], ["query"], ["tail", "-n", "x"]])
+def test_wrong_usage_is_2_and_points_at_the_help(run: Run, arguments: list[str]) -> None:
+    ran = run(*arguments)
+    assert ran.code == 2
+
+
+@pytest.mark.parametrize("arguments", READERS, ids=lambda arguments: arguments[0])
+def test_a_folder_without_a_log_is_told_and_left_as_it_is(run: Run, arguments: list[str], tmp_path: Path) -> None:
+    Path("token").write_text("a-token-that-nobody-guesses")
+    ran = run(*arguments, "--data-dir", tmp_path / "typo")
+    assert (ran.code, ran.out) == (1, "")
+    assert f"there is no log in {tmp_path}/typo. Next: vian demo or vian extract makes one" in ran.words
+    assert not (tmp_path / "typo").exists()
+
+
+@pytest.mark.parametrize("arguments", READERS[:-1], ids=lambda arguments: arguments[0])
+def test_a_folder_and_an_address_at_once_are_wrong_usage(run: Run, arguments: list[str]) -> None:
+    ran = run(*arguments, "--data-dir", "x", "--dsn", "postgresql://x/y")
+    assert ran.code == 2
+    assert "give either --data-dir or --dsn, got both" in ran.words
+
+
+def test_a_data_directory_of_another_major_is_told_and_not_touched(run: Run, public_folder: Path) -> None:
+    data_dir = public_folder / "old"
+    (data_dir / "pg").mkdir(parents=True)
+    (data_dir / "pg" / "PG_VERSION").write_text("14\n")
+    ran = run("streams", "--data-dir", data_dir)
+    assert (ran.code, ran.out) == (1, "")
+    assert "was made by PostgreSQL 14, this ViAn runs PostgreSQL 18. Next: dump it with" in ran.words
+    assert [path.name for path in (data_dir / "pg").iterdir()] == ["PG_VERSION"]
+    found = run("doctor", "--data-dir", data_dir)
+    assert found.code == 1
+    assert "was made by PostgreSQL 14" in found.out
+
+
+def test_a_database_that_is_away_is_told_without_its_password(run: Run) -> None:
+    ran = run("streams", "--dsn", "postgresql://me:hunter2@127.0.0.1:1/none?connect_timeout=1")
+    assert (ran.code, ran.out) == (1, "")
+    assert "127.0.0.1" in ran.words
+    assert "hunter2" not in ran.err
+
+
+@pytest.mark.parametrize("dsn, code", [("nonsense here", 2), ("mysql://x/y", 2), ("postgresql://x:port/z", 1)])
+def test_an_address_that_is_none_is_told(run: Run, dsn: str, code: int) -> None:
+    ran = run("streams", "--dsn", dsn)
+    assert (ran.code, ran.out) == (code, "")
+    assert ran.err.startswith("error: ")
+
+
+def test_a_folder_without_permission_is_told(public_folder: Path) -> None:
+    closed = public_folder / "closed"
+    closed.mkdir()
+    closed.chmod(0o555)
+    argv = [sys.executable, "-m", "vian", "extract", "motion", "/dev/null", "--source", "gate"]
+    nobody: dict[str, Any] = {"user": 65534, "group": 65534, "extra_groups": []} if os.geteuid() == 0 else {}
+    ran = subprocess.run(
+        [*argv, "--data-dir", str(closed / "log")],
+        capture_output=True,
+        text=True,
+        cwd=public_folder,
+        **nobody,
+        env={**os.environ, "HOME": str(public_folder), "XDG_CONFIG_HOME": str(public_folder)},
+    )
+    assert stat.S_IMODE(closed.stat().st_mode) == 0o555
+    assert ran.returncode == 1
+    assert "cannot be used: Permission denied. Next: give a folder that you may write to" in " ".join(
+        ran.stderr.split()
+    )
+
+
+@pytest.mark.parametrize(
+    "error, code", [(LogUnavailable("x [y]"), 1), (WrongMajor("x [y]"), 1), (KeyboardInterrupt(), 130)]
+)
+def test_errors_become_exit_codes(run: Run, monkeypatch: pytest.MonkeyPatch, error: BaseException, code: int) -> None:
+    def fail(*_: object, **__: object) -> NoReturn:
+        raise error
+
+    monkeypatch.setattr(log_commands, "opened", fail)
+    ran = run("streams")
+    assert (ran.code, ran.out) == (code, "")
+    assert ran.err == "error: x [y]\n" if code == 1 else "the same command goes on where it stopped" in ran.words
+
+
+def test_a_defect_shows_its_traceback(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object, **__: object) -> NoReturn:
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(log_commands, "opened", fail)
+    with pytest.raises(ZeroDivisionError):
+        run("streams")
+
+
+def test_more_is_told_when_asked(run: Run, tmp_path: Path) -> None:
+    assert run("--verbose", "doctor", "--data-dir", tmp_path / "new").code == 0
