@@ -31,7 +31,7 @@ class Scene:
     """how long is lingering"""
 
 
-_LOBBY = Scene("lobby", [(0.47, 0.80), (0.72, 0.80), (0.76, 0.985), (0.43, 0.985)], [(0.86, 1.0), (0.86, 0.55)], "6 s")
+_LOBBY = Scene("lobby", [(0.47, 0.80), (0.72, 0.80), (0.76, 0.985), (0.43, 0.985)], [(0.85, 1.0), (0.85, 0.78)], "6 s")
 _STREET = Scene("street", LOITER_ZONE, CROSSING_LINE, "6 s")
 _ANY = Scene("video", [(0.25, 0.4), (0.75, 0.4), (0.85, 0.98), (0.15, 0.98)], [(0.5, 1.0), (0.5, 0.0)], "6 s")
 _SCENES: Mapping[Origin, Scene] = {
