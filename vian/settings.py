@@ -49,7 +49,7 @@ class Settings(BaseSettings):
     )
 
     data_dir: HomePath = Field(default_factory=lambda: platformdirs.user_data_path("vian"))
-    """folder of the embedded log"""
+    """folder of the embedded log; by default in the platform's folder for data (on Linux `~/.local/share/vian`)"""
     dsn: SecretStr | None = None
     """address of an external PostgreSQL instead of the embedded one: postgresql://user:password@host/database"""
     station: str = Field(default_factory=_host_name)

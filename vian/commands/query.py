@@ -40,7 +40,9 @@ def register(app: typer.Typer) -> None:
 
 def query(
     sql: Annotated[str, typer.Argument(help="DuckDB SQL; each event type is a table, `events` holds all envelopes.")],
-    format_: Annotated[Format, typer.Option("--format", help="How the answer is written.")] = Format.TABLE,
+    format_: Annotated[
+        Format, typer.Option("--format", help="Form of the answer: table, csv, json, parquet or arrow.")
+    ] = Format.TABLE,
     output_file: Annotated[
         Path | None, typer.Option("--output", "-o", help="Write the answer to this file.", dir_okay=False)
     ] = None,
