@@ -33,7 +33,7 @@ def check(rule: Rule, schemas: Mapping[str, pa.Schema]) -> list[Finding]:
         bound = bind(rule, schemas)
     except RuleError as error:
         return [Finding("error", error.message, Place(error.file, error.line, error.column, error.excerpt))]
-    return [*_unused(bound), *_unbounded(bound), *_unchecked(bound)]
+    return [*_unused(bound), *_empty(bound), *_unbounded(bound), *_unchecked(bound)]
 
 
 def _unused(bound: BoundRule) -> list[Finding]:
@@ -58,6 +58,18 @@ def _unused(bound: BoundRule) -> list[Finding]:
         for name in rule.params if f":{name}" not in text
     ]  # fmt: skip
     return findings
+
+
+def _empty(bound: BoundRule) -> list[Finding]:
+    """A pattern that no row at all matches too."""
+    if not bound.tables.accepts[bound.tables.start]:
+        return []
+    passage = bound.rule.passage("match")
+    message = (
+        "PATTERN can match no row at all, and such an empty match is no situation. "
+        "Next: ask for one row or more, with + for * or without ?"
+    )
+    return [Finding("warning", message, passage.place(parse(passage).pattern_at))]
 
 
 def _unbounded(bound: BoundRule) -> list[Finding]:

@@ -196,7 +196,7 @@ class Log:
         try:
             connection = self._take()
             try:
-                with connection:
+                with connection, _left_clean(connection):
                     yield connection
             finally:
                 self._pool.putconn(connection)
@@ -399,6 +399,17 @@ class Log:
         connection.autocommit = True
         connection.execute("set timezone to 'UTC'")
         connection.execute(psycopg.sql.SQL("set role {}").format(psycopg.sql.Identifier(self._role)))
+
+
+@contextmanager
+def _left_clean(connection: psycopg.Connection[Any]) -> Iterator[None]:
+    """Close the connection if an interrupt leaves a command running on it: it cannot be rolled back."""
+    try:
+        yield
+    except BaseException:
+        if connection.info.transaction_status == psycopg.pq.TransactionStatus.ACTIVE:
+            connection.close()
+        raise
 
 
 def open_log(*, data_dir: Path | None = None, dsn: str | None = None, catalogue: Catalogue | None = None) -> Log:

@@ -64,6 +64,18 @@ def test_check_warns_of_what_is_unused_or_unbounded() -> None:
         assert any(part in message for message in messages), part
 
 
+@pytest.mark.parametrize("pattern", ["A*", "A? B*", "(A | B?)", "A{0,2}"])
+def test_check_warns_of_a_pattern_that_can_match_nothing(pattern: str) -> None:
+    rule = parse_rule(HEAD + f"  {BEGINNING}  PATTERN ({pattern}) WITHIN :dwell)\n")
+    (finding,) = [each for each in check(rule, SCHEMAS) if "can match no row at all" in each.message]
+    assert (finding.severity, finding.place.line) == ("warning", 11)
+
+
+def test_check_does_not_warn_of_a_pattern_that_takes_a_row() -> None:
+    rule = parse_rule(HEAD + f"  {BEGINNING}  PATTERN (A* B) WITHIN :dwell)\n")
+    assert not any("no row at all" in each.message for each in check(rule, SCHEMAS))
+
+
 def test_check_warns_of_keys_that_are_kept_for_good() -> None:
     text = HEAD.replace("severity: info", "severity: info\nemit: {once_per: [key]}")
     rule = parse_rule(text + f"  {BEGINNING}  PATTERN (A B) WITHIN :dwell)\n")

@@ -177,6 +177,16 @@ def test_a_query_whose_connection_dies_under_it_is_an_outage(log: Log) -> None:
         lose_the_connection()
 
 
+def test_an_interrupt_in_the_middle_of_a_command_leaves_a_log_that_works(
+    log: Log, caplog: pytest.LogCaptureFixture
+) -> None:
+    with pytest.raises(KeyboardInterrupt), log.connection() as connection:
+        connection.pgconn.send_query(b"select pg_sleep(60)")
+        raise KeyboardInterrupt
+    assert [record for record in caplog.records if record.name == "psycopg"] == []
+    assert log.head() == 0
+
+
 def test_more_users_than_connections_wait_for_their_turn(log: Log) -> None:
     append(log, GATE, 1)
     with ThreadPoolExecutor(3 * log_module.CONNECTIONS_MAX) as pool:

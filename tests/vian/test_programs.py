@@ -9,6 +9,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from time import monotonic
 from typing import Any
@@ -37,7 +38,9 @@ def running(*arguments: object, **options: Any) -> Iterator[subprocess.Popen[str
     """A command in a process and a group of its own, which is gone when the block ends."""
     argv = [*VIAN, *map(str, arguments)]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE} | options
-    with subprocess.Popen(argv, text=True, start_new_session=True, **pipes) as process:
+    # A suite that runs in the background of a shell ignores Ctrl-C, and so would its children.
+    heard = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
+    with subprocess.Popen(argv, text=True, start_new_session=True, preexec_fn=heard, **pipes) as process:
         try:
             yield process
         finally:
