@@ -180,9 +180,13 @@ def test_a_query_whose_connection_dies_under_it_is_an_outage(log: Log) -> None:
 def test_an_interrupt_in_the_middle_of_a_command_leaves_a_log_that_works(
     log: Log, caplog: pytest.LogCaptureFixture
 ) -> None:
-    with pytest.raises(KeyboardInterrupt), log.connection() as connection:
-        connection.pgconn.send_query(b"select pg_sleep(60)")
-        raise KeyboardInterrupt
+    def be_interrupted() -> None:
+        with log.connection() as connection:
+            connection.pgconn.send_query(b"select pg_sleep(60)")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        be_interrupted()
     assert [record for record in caplog.records if record.name == "psycopg"] == []
     assert log.head() == 0
 
