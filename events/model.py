@@ -19,7 +19,7 @@ from pydantic_core import from_json
 from events.errors import InvalidEvent
 from events.names import TypeName, type_name
 
-ENVELOPE = ("id", "station", "source", "type", "subject", "time", "sequence", "position", "recorded_at")
+ENVELOPE = ("id", "station", "source", "type", "subject", "time", "sequence", "position", "recorded_at", "epoch")
 """The envelope's names, as in CloudEvents and the log; no payload field but `time` may bear one."""
 
 

@@ -5,6 +5,7 @@ StoreError
 │   └── WrongMajor       the data directory belongs to another major version of PostgreSQL
 ├── SchemaMismatch       the database's schema is newer than this program, or not ours
 ├── SequenceConflict     a stream does not stand where the writer expected
+├── TableBusy            a row table cannot be changed while queries read it
 ├── ChainBroken          stored or received bytes do not carry the hash that they should
 └── BadRequest           a call asked for what the log does not do
 """
@@ -28,6 +29,10 @@ class WrongMajor(LogUnavailable):
 
 class SchemaMismatch(StoreError):
     """The database's schema is newer than this program, or not ours."""
+
+
+class TableBusy(StoreError):
+    """A row table cannot be changed while queries read it; nothing was changed."""
 
 
 class BadRequest(StoreError):

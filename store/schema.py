@@ -1,7 +1,8 @@
 """The database's schema: bring it to this program's version, and check that it is there.
 
 Contract: `migrate` runs as the database's owner, is idempotent, and one process at a time does it
-(an advisory lock). Row tables of plug-in types are created from their definition, without SQL.
+(an advisory lock). Row tables of plug-in types are created from their definition, without SQL; one of an
+older version of its type gets the newer one's columns and is filled anew from the log.
 """
 
 from collections.abc import Iterable
@@ -18,8 +19,8 @@ from alembic.util.exc import CommandError
 from psycopg.conninfo import conninfo_to_dict
 
 from events import EventType
-from store.errors import BadRequest, LogUnavailable, SchemaMismatch
-from store.tables import events_view, projection_table
+from store.errors import BadRequest, LogUnavailable, SchemaMismatch, TableBusy
+from store.tables import projection_table
 
 MAJOR_MIN = 15
 """Oldest major version of PostgreSQL that the migrations and the append function run on."""
@@ -35,6 +36,7 @@ def migrate(dsn: str, catalogue: Iterable[type[EventType]], revision: str = "hea
         LogUnavailable: The database cannot be reached, or the role may not create tables.
         SchemaMismatch: The database was migrated by a newer ViAn, is not ours, or is of a PostgreSQL
             that is too old.
+        TableBusy: A row table of an older version is being read and cannot be changed.
     """
     engine = _engine(dsn)
     try:
@@ -43,8 +45,13 @@ def migrate(dsn: str, catalogue: Iterable[type[EventType]], revision: str = "hea
             connection.execute(sa.text("select pg_advisory_xact_lock(:key)"), {"key": _LOCK_KEY})
             _upgrade(connection, revision)
             if revision == "head":
-                _create_plugged(connection, catalogue)
+                _bring_row_tables_up(connection, catalogue)
     except sa.exc.OperationalError as error:
+        if isinstance(error.orig, psycopg.errors.LockNotAvailable):
+            raise TableBusy(
+                f"the row tables at {safe_dsn(dsn)} cannot be brought to this version while queries read them. "
+                "Next: end these queries, then give the command again"
+            ) from error
         raise LogUnavailable(f"no database at {safe_dsn(dsn)}: {_first_line(error)}. Next: vian doctor") from error
     except sa.exc.ProgrammingError as error:
         if isinstance(error.orig, psycopg.errors.InsufficientPrivilege):
@@ -133,21 +140,67 @@ def _upgrade(connection: sa.Connection, revision: str) -> None:
     command.upgrade(config, revision)
 
 
-def _create_plugged(connection: sa.Connection, catalogue: Iterable[type[EventType]]) -> None:
-    adopted = set(connection.scalars(sa.text("select name from projections")))
-    missing = [event_type for event_type in catalogue if event_type.type_name not in adopted]
-    for event_type in missing:
+def _bring_row_tables_up(connection: sa.Connection, catalogue: Iterable[type[EventType]]) -> None:
+    """Give each type a table of its newest version; types that are not installed any more keep theirs."""
+    versions = {row.name: row.version for row in connection.execute(sa.text("select name, version from projections"))}
+    for event_type in catalogue:
+        have = versions.get(event_type.type_name, 0)
+        if have >= event_type.version:
+            continue
         table = projection_table(event_type, sa.MetaData())
-        if sa.inspect(connection).has_table(table.name):
+        if have == 0:
+            _create(connection, table)
+        else:
+            _change(connection, table)
+        # Also makes the views.
+        connection.execute(sa.text("select adopt_projection(:name)"), {"name": table.name})
+        connection.execute(
+            sa.text("update projections set version = :version where name = :name"),
+            {"name": table.name, "version": event_type.version},
+        )
+
+
+def _create(connection: sa.Connection, table: sa.Table) -> None:
+    found = sa.inspect(connection)
+    for name in (table.name, f"{table.name}_events"):
+        if found.has_table(name):
             raise SchemaMismatch(
-                f"event type {table.name} needs a table of its name, and the database has another one. "
+                f"event type {table.name} needs a table of its name and a view beside it, and the database has another {name}. "
                 "Next: rename the type, or give ViAn a database of its own"
             )
-        table.create(connection)
-        connection.execute(sa.text("select adopt_projection(:name)"), {"name": table.name})
-    if missing:
-        # Types that are not installed any more keep their rows.
-        connection.execute(sa.text(events_view([*adopted, *(event_type.type_name for event_type in missing)])))
+    table.create(connection)
+
+
+def _change(connection: sa.Connection, table: sa.Table) -> None:
+    """Give an existing row table the columns of its type's newer version, and queue it to be filled anew.
+
+    A column that the newer version lacks stays, empty, so that views and queries over it hold.
+    """
+    connection.execute(
+        sa.text("select reset_projection(name, retained_from) from projections where name = :name"),
+        {"name": table.name},
+    )
+    existing = {column["name"]: column for column in sa.inspect(connection).get_columns(table.name)}
+    compiler = connection.dialect.type_compiler_instance
+    quoted = connection.dialect.identifier_preparer.format_table(table)
+    for column in table.columns:
+        name = connection.dialect.identifier_preparer.format_column(column)
+        kind, null = compiler.process(column.type), "drop not null" if column.nullable else "set not null"
+        if column.name not in existing:
+            connection.execute(sa.text(f"alter table {quoted} add column {name} {kind}"))
+        elif compiler.process(existing[column.name]["type"]) != kind:
+            connection.execute(sa.text(f"drop view if exists {_view_of(connection, table)}"))
+            connection.execute(sa.text(f"alter table {quoted} alter column {name} type {kind} using null"))
+        connection.execute(sa.text(f"alter table {quoted} alter column {name} {null}"))
+        connection.execute(sa.schema.SetColumnComment(column))
+    for gone in existing.keys() - table.columns.keys():
+        name = connection.dialect.identifier_preparer.quote(gone)
+        connection.execute(sa.text(f"alter table {quoted} alter column {name} drop not null"))
+    connection.execute(sa.schema.SetTableComment(table))
+
+
+def _view_of(connection: sa.Connection, table: sa.Table) -> str:
+    return connection.dialect.identifier_preparer.quote(f"{table.name}_events")
 
 
 def _first_line(error: sa.exc.DBAPIError) -> str:

@@ -4,7 +4,6 @@ Contract: the sum of the migrations equals this metadata; a test compares them. 
 tables and migrates them; the hot road speaks psycopg.
 """
 
-from collections.abc import Iterable
 from typing import Any
 
 import pyarrow as pa
@@ -95,10 +94,16 @@ projections = sa.Table(
     "projections",
     metadata,
     sa.Column("name", sa.Text, primary_key=True, comment="row table, named as its event type"),
+    sa.Column(
+        "version",
+        sa.Integer,
+        nullable=False,
+        server_default="1",
+        comment="version of the event type that the table's columns are of",
+    ),
+    sa.Column("retained_from", sa.Date, comment="first day (UTC) that retention has left; null where it took none"),
     comment="The row tables: rebuildable projections of segments.",
 )
-
-ENVELOPE_COLUMNS = ("station", "source", "type", "subject", "time", "sequence", "position", "recorded_at")
 
 _SQL_TYPES: dict[pa.DataType, Any] = {
     pa.bool_(): sa.Boolean(),
@@ -117,7 +122,10 @@ def is_json(field: pa.Field) -> bool:
 
 
 def projection_table(event_type: type[EventType], into: sa.MetaData) -> sa.Table:
-    """The row table of an event type: the envelope's columns, then the type's fields."""
+    """The row table of an event type: the envelope's columns and the type's fields.
+
+    The order of its columns is nobody's contract: people read the views `events` and `<type>_events`.
+    """
     payload = [
         sa.Column(
             field.name,
@@ -140,19 +148,11 @@ def projection_table(event_type: type[EventType], into: sa.MetaData) -> sa.Table
         sa.Column("position", sa.BigInteger, nullable=False, comment="position of its segment in this log"),
         sa.Column("recorded_at", TIMESTAMP, nullable=False, comment="when this log took it (UTC)"),
         *payload,
+        sa.Column(
+            "epoch", sa.Integer, nullable=False, server_default="1", comment="life of the station's log, from 1"
+        ),
         sa.Index(f"{name}_time", "time", postgresql_using="brin"),
         sa.Index(f"{name}_position", "position", postgresql_using="brin"),
         comment=" ".join((event_type.__doc__ or name).split()),
         postgresql_partition_by="RANGE (time)",
     )
-
-
-def events_view(type_names: Iterable[str]) -> str:
-    """The SQL of the view `events`: the envelope of every row table."""
-    selects = [
-        f"select station || '/' || source || '/{name}/' || sequence as id, station, source, "
-        f"cast('{name}' as text) as type, subject, time, sequence, position, "
-        f'recorded_at from "{name}"'
-        for name in sorted(type_names)
-    ]
-    return "create or replace view events as\n" + "\nunion all\n".join(selects)

@@ -14,7 +14,7 @@ from alembic.script import ScriptDirectory
 from events import SHIPPED, Catalogue, EventType, StreamName, batch_of, encode
 from store import Log, LogUnavailable, Projector, SchemaMismatch, open_log, schema
 from store.schema import configuration, migrate
-from store.tables import events_view, metadata, projection_table
+from store.tables import metadata, projection_table
 from tests.conftest import Server
 from tests.store.samples import GATE, NOON, PRODUCER, append, on_both, owner, query
 
@@ -115,7 +115,7 @@ def test_row_tables_are_partitioned_by_time_and_shared_out_to_the_roles(log: Log
 def test_the_view_of_all_events_is_the_one_that_plug_ins_will_extend(log: Log) -> None:
     before = query(log, "select pg_get_viewdef('events'::regclass)")
     with owner(log) as connection:
-        connection.execute(events_view(event_type.type_name for event_type in SHIPPED))
+        connection.execute("select make_events_view()")
     assert query(log, "select pg_get_viewdef('events'::regclass)") == before
 
 

@@ -1,0 +1,11 @@
+-- Takes a row table out of the set again, with its views and rows; its events stay in the log.
+create function drop_projection(p_table text) returns void
+language plpgsql set search_path from current as $$
+begin
+  delete from projections where name = p_table;
+  delete from checkpoints where name = 'projector:' || p_table;
+  drop view events;
+  perform make_events_view();
+  execute format('drop view %I', p_table || '_events');
+  execute format('drop table %I', p_table);
+end $$;
