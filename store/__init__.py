@@ -12,11 +12,13 @@ from store.errors import (
     SchemaMismatch,
     SequenceConflict,
     StoreError,
+    TableBusy,
     WrongMajor,
 )
 from store.log import Appended, Checkpoint, Log, StreamHead, Transaction, open_log
 from store.projector import Projector
 from store.subscription import Delivery, Subscription
+from store.upkeep import RowPolicy, RowTable, Upkeep, maintain, row_tables
 from store.verification import Verification, verify
 
 __all__ = [
@@ -29,14 +31,20 @@ __all__ = [
     "Log",
     "LogUnavailable",
     "Projector",
+    "RowPolicy",
+    "RowTable",
     "SchemaMismatch",
     "SequenceConflict",
     "StoreError",
     "StreamHead",
     "Subscription",
+    "TableBusy",
     "Transaction",
+    "Upkeep",
     "Verification",
     "WrongMajor",
+    "maintain",
     "open_log",
+    "row_tables",
     "verify",
 ]

@@ -133,7 +133,8 @@ def _repeated(values: Sequence[Any], counts: NDArray[np.int64], kind: pa.DataTyp
 def _sequences(firsts: Sequence[int], counts: NDArray[np.int64]) -> NDArray[np.int64]:
     """For each part the sequences from its first one on."""
     before = np.cumsum(counts) - counts
-    return np.arange(counts.sum()) + np.repeat(np.array(firsts) - before, counts)
+    places: NDArray[np.int64] = np.arange(counts.sum()) + np.repeat(np.array(firsts) - before, counts)
+    return places
 
 
 def _midnight(day: date) -> datetime:

@@ -165,7 +165,8 @@ def _create(connection: sa.Connection, table: sa.Table) -> None:
     for name in (table.name, f"{table.name}_events"):
         if found.has_table(name):
             raise SchemaMismatch(
-                f"event type {table.name} needs a table of its name and a view beside it, and the database has another {name}. "
+                f"event type {table.name} needs a table of its name and a view beside it, and the database "
+                f"has another {name}. "
                 "Next: rename the type, or give ViAn a database of its own"
             )
     table.create(connection)

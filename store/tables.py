@@ -148,9 +148,7 @@ def projection_table(event_type: type[EventType], into: sa.MetaData) -> sa.Table
         sa.Column("position", sa.BigInteger, nullable=False, comment="position of its segment in this log"),
         sa.Column("recorded_at", TIMESTAMP, nullable=False, comment="when this log took it (UTC)"),
         *payload,
-        sa.Column(
-            "epoch", sa.Integer, nullable=False, server_default="1", comment="life of the station's log, from 1"
-        ),
+        sa.Column("epoch", sa.Integer, nullable=False, server_default="1", comment="life of the station's log, from 1"),
         sa.Index(f"{name}_time", "time", postgresql_using="brin"),
         sa.Index(f"{name}_position", "position", postgresql_using="brin"),
         comment=" ".join((event_type.__doc__ or name).split()),

@@ -73,6 +73,17 @@ class Settings(BaseSettings):
     database_wait_s: Annotated[float, Field(ge=0)] = 60.0
     """how long an append waits for a database that is away, in seconds"""
 
+    rows_keep_days: Annotated[int, Field(ge=1)] | None = None
+    """age in days at which a day's rows are dropped, by event time; never by default. Events stay in the log"""
+    rows_keep_days_by_type: dict[str, Annotated[int, Field(ge=1)]] = Field(default_factory=dict)
+    """the same for single event types, in place of rows_keep_days: `{ track_point = 30 }`"""
+    rows_ahead_days: Annotated[int, Field(ge=0, le=31)] = 2
+    """partitions of row tables made ahead of today, in days"""
+    rows_close_after_h: Annotated[float, Field(ge=0, le=8760)] = 6.0
+    """a day of rows gets its index for tracks and cameras so long after its end and its newest row, in hours"""
+    rows_upkeep_s: Annotated[float, Field(ge=1, le=86400)] = 300.0
+    """`vian serve` sees to the row tables (retention, partitions, closed days) this often, in seconds"""
+
     @classmethod
     def settings_customise_sources(
         cls,

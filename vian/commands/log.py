@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from events import Segment, UnknownType, decode, events_of
-from store import Log, Projector, Subscription, verify
+from store import Log, Subscription, verify
 from vian import options
 from vian.errors import WorldFailed, WrongUsage
 from vian.options import opened, settings_for
@@ -17,7 +17,6 @@ def register(app: typer.Typer) -> None:
     """Add the commands."""
     app.command(epilog="Example: vian streams --json")(streams)
     app.command(epilog="Example: vian tail --follow --type situation_detected")(tail)
-    app.command(epilog="Example: vian project")(project)
     app.command(
         epilog='Example: vian psql -- -c "select type, count(*) from events group by type"',
     )(psql)
@@ -94,27 +93,6 @@ def _lines(log: Log, segment: Segment, as_json: bool) -> list[str]:
     if as_json:
         return [to_json({**place, "sequence": first + i, **event}) for i, event in enumerate(events)]
     return [f"{event.pop('time')}  {segment.stream}/{first + i}  {to_json(event)}" for i, event in enumerate(events)]
-
-
-def project(data_dir: options.DataDir = None, dsn: options.Dsn = None, as_json: options.Json = False) -> None:
-    """Bring the row tables for psql and other SQL tools up to the log."""
-    output = Output(is_json=as_json)
-    with opened(settings_for(data_dir, dsn), data_dir=data_dir) as log:
-        projector = Projector(log)
-        before = projector.position
-        with output.progress("positions", log.head()) as bar:
-            while not (delivery := projector.step()).is_caught_up:
-                bar.at(delivery.position)
-        projector.close()
-    output.result(
-        {
-            "position": projector.position,
-            "segments": projector.position - before,
-            "skipped": projector.segments_skipped,
-        },
-        f"row tables up to position {projector.position}: {projector.position - before} segments now"
-        + (f", {projector.segments_skipped} of unknown types without rows" if projector.segments_skipped else ""),
-    )
 
 
 def psql(

@@ -18,6 +18,7 @@ from vian.options import opened, settings_for
 from vian.output import Output
 from vian.parts import Part, Parts, stepping
 from vian.replication import load_plan, station_daemon, sync_part
+from vian.rows import upkeep_part
 from vian.rules import processor_part
 from vian.settings import Settings
 from vian.stations import read_grants, read_token
@@ -81,7 +82,10 @@ def serve(
 
 def _parts(stack: ExitStack, log: Log, settings: Settings, role: Role) -> list[Part]:
     projector = Projector(log)
-    parts = [stepping("projector", lambda: projector.step(STEP_SECONDS), log, projector.close)]
+    parts = [
+        stepping("projector", lambda: projector.step(STEP_SECONDS), log, projector.close),
+        upkeep_part(log, settings),
+    ]
     if settings.rules is not None:
         parts.append(processor_part(log, settings.station, settings.rules))
     if role is Role.STATION and settings.central is not None:
