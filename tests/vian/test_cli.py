@@ -22,6 +22,8 @@ from vian.version import VERSION
 def commands(group: Any = None, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
     """All commands with their path, groups left out."""
     for name, command in (group or typer.main.get_command(cli.app)).commands.items():
+        if getattr(command, "invoke_without_command", False):
+            yield (*path, name), command
         if hasattr(command, "commands"):
             yield from commands(command, (*path, name))
         else:
@@ -42,7 +44,8 @@ READERS = [
 
 def test_the_commands_are_those_that_there_should_be() -> None:
     assert {" ".join(path) for path in ALL} == {
-        "demo", "doctor", "extract motion", "project", "psql", "query", "rules check", "rules run", "serve",
+        "demo", "doctor", "extract motion", "project", "project maintain", "project rebuild",
+        "project status", "psql", "query", "rules check", "rules run", "serve",
         "station add", "streams", "sync", "tail", "verify",
     }  # fmt: skip
 

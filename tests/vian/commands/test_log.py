@@ -1,4 +1,4 @@
-"""`vian streams`, `tail`, `project`, `psql`, `verify`."""
+"""`vian streams`, `tail`, `psql`, `verify`."""
 
 import json
 from collections.abc import Callable
@@ -85,11 +85,6 @@ def test_tail_names_what_it_cannot_read(make_log: Callable[..., Log], run: Run) 
     (event,) = objects(run("tail", "--dsn", log.dsn, "--json", "--type", "vehicle_weighed").out)
     assert (event["type"], event["sequence"], event["events"]) == ("vehicle_weighed", 1, 2)
     assert "no event type 'vehicle_weighed'" in event["unknown"]
-
-
-def test_project_brings_the_rows_up_to_the_log(filled: Log, run: Run) -> None:
-    assert objects(run("project", "--dsn", filled.dsn, "--json").out) == [{"position": 3, "segments": 3, "skipped": 0}]
-    assert run("project", "--dsn", filled.dsn).out == "row tables up to position 3: 0 segments now\n"
 
 
 def test_psql_asks_the_row_tables(filled: Log, run: Run, capfd: pytest.CaptureFixture[str], fake_psql: None) -> None:
