@@ -11,7 +11,7 @@ others' newest events, until it joins them and its checkpoint goes.
 """
 
 import logging
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import date
 from typing import Any
@@ -30,6 +30,9 @@ BEHIND = f"{NAME}:"
 """Begins the name of the checkpoint of a type that is behind the others."""
 BEHIND_POSITIONS = 20_000
 """Most positions that one step of a type that is behind passes over."""
+
+COPY_EVENTS = 50_000
+"""Events at which a transaction takes no further segment, so that a long delivery needs no more memory."""
 
 logger = logging.getLogger(__name__)
 
@@ -96,8 +99,9 @@ class Projector:
         begun = self._log.checkpoint(BEHIND + type_name).position
         others = self._log.checkpoint(NAME).position
         end = min(others, begun + BEHIND_POSITIONS)
-        segments = self._page(type_name, begun + 1, end)
-        reached = end if len(segments) < DELIVERY_SEGMENTS else segments[-1].position
+        found = self._page(type_name, begun + 1, end)
+        whole = Delivery(found, end if len(found) < DELIVERY_SEGMENTS else found[-1].position, is_caught_up=False)
+        segments, reached = next(iter(_shares(whole, begun)), ([], begun))
         is_last = reached == others
         by_type, skipped = self._decoded(segments)
         with self._log.transaction() as transaction:
@@ -167,22 +171,29 @@ class Projector:
 
     def _store(self, delivery: Delivery, before: int) -> Delivery:
         """What was projected: the delivery, or nothing if another projector was faster."""
-        if delivery.position == before:
-            return delivery
-        by_type, skipped = self._decoded(delivery.segments)
+        for segments, reached in _shares(delivery, before):
+            stored = self._store_share(segments, before, reached)
+            if stored != reached:
+                self._subscription.position = stored
+                return Delivery([], stored, is_caught_up=False)
+            before = reached
+        return delivery
+
+    def _store_share(self, segments: Sequence[Segment], before: int, reached: int) -> int:
+        """Store rows and checkpoint; where the checkpoint stands, not at `reached` if another was faster."""
+        by_type, skipped = self._decoded(segments)
         with self._log.transaction() as transaction:
             _commit_lazily(transaction)
             stored = transaction.checkpoint(NAME)
             if stored.position != before:
-                self._subscription.position = stored.position
-                return Delivery([], stored.position, is_caught_up=False)
+                return stored.position
             tables = _tables(transaction.connection)
             moving = {name for name, table in tables.items() if table.behind is None}
             skipped += self._copy_all(transaction, by_type, tables, moving)
-            self._hold_unknown(transaction, delivery.segments, moving)
-            transaction.save_checkpoint(NAME, delivery.position)
+            self._hold_unknown(transaction, segments, moving)
+            transaction.save_checkpoint(NAME, reached)
         self.segments_skipped += skipped
-        return delivery
+        return reached
 
     def _hold_unknown(self, transaction: Transaction, segments: Iterable[Segment], moving: set[str]) -> None:
         """Have types with a table, but not installed here, wait at their first segment for who knows them."""
@@ -270,6 +281,21 @@ class Projector:
             for data in row_format.copy_data(parts, retained_from):
                 copy.write(data)
         self._partitions |= days
+
+
+def _shares(delivery: Delivery, before: int) -> Iterator[tuple[list[Segment], int]]:
+    """The delivery in shares for a transaction each, with the position that each reaches."""
+    share: list[Segment] = []
+    events = 0
+    for segment in delivery.segments:
+        share.append(segment)
+        events += segment.header.event_count
+        if events >= COPY_EVENTS:
+            yield share, segment.position
+            before = segment.position
+            share, events = [], 0
+    if delivery.position > before:
+        yield share, delivery.position
 
 
 def _commit_lazily(transaction: Transaction) -> None:

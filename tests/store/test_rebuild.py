@@ -397,3 +397,32 @@ def test_midnight_belongs_to_the_day_that_begins(log: Log) -> None:
     assert frames(log) == [2]
     with pytest.raises(psycopg.errors.InsufficientPrivilege), log.connection() as connection:
         connection.execute("update projections set retained_from = null")
+
+
+@on_both
+def test_a_long_delivery_is_stored_in_several_transactions_and_goes_on_after_the_last_of_them(
+    log: Log, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("store.projector.COPY_EVENTS", 4)
+    append(log, GATE, 3, 1, 9, 1, 1)
+    made = Projector(log)
+    saved, reached = Transaction.save_checkpoint, []
+
+    def stop_at_the_third(self: Transaction, name: str, position: int, *rest: Any) -> None:
+        reached.append(position)
+        if len(reached) == 3:
+            raise KeyboardInterrupt
+        saved(self, name, position, *rest)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Transaction, "save_checkpoint", stop_at_the_third)
+        with pytest.raises(KeyboardInterrupt):
+            made.step()
+    assert reached == [2, 3, 5]
+    assert (log.checkpoint(NAME).position, frames(log)) == (3, list(range(1, 14)))
+    assert made.catch_up() == 5
+    made.rebuild("track_point")
+    made.step_behind("track_point")
+    assert (dict(made.behind), frames(log)) == ({"track_point": 2}, [1, 2, 3, 4])
+    made.catch_up()
+    assert_rows_equal_events(log)

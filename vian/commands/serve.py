@@ -56,7 +56,7 @@ def serve(
     station: options.Station = None,
     as_json: Annotated[bool, typer.Option("--json", help="Logs as one JSON object a line.")] = False,
 ) -> None:
-    """Run the HTTP interface, the row projector, the rules and sync in one program, until SIGINT or SIGTERM."""
+    """Run the HTTP interface, row projector and upkeep, rules and sync in one program, until SIGINT or SIGTERM."""
     given = {"host": host, "port": port, "rules": rules, "stations_file": stations_file, "central": central}
     settings = settings_for(data_dir, dsn, station=station, token_file=token_file, plan=plan, **given)
     logs.configure(as_json=as_json)
