@@ -11,12 +11,12 @@ from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
 from alembic.script import ScriptDirectory
 
-from events import SHIPPED, Catalogue, EventType, StreamName, batch_of, encode
+from events import SHIPPED, Catalogue, EventType, ProcessFinished, StreamName, batch_of, encode
 from store import Log, LogUnavailable, Projector, SchemaMismatch, open_log, schema
 from store.schema import configuration, migrate
 from store.tables import metadata, projection_table
 from tests.conftest import Server
-from tests.store.samples import GATE, NOON, PRODUCER, append, on_both, owner, query
+from tests.store.samples import GATE, NOON, PRODUCER, YARD, append, draft_of, on_both, owner, points, query
 
 
 @pytest.fixture
@@ -294,3 +294,47 @@ def test_a_role_that_may_make_nothing_is_told_what_to_do(server: Server, empty: 
             open_log(dsn=as_visitor)
     finally:
         server.execute("drop role visitor")
+
+
+@on_both
+def test_a_log_of_the_first_release_keeps_its_rows_and_gets_what_is_new(empty: str) -> None:
+    run(empty, command.upgrade, "0002")
+    with Log(empty, Catalogue.shipped()) as log:
+        append(log, GATE, 2)
+        log.append([encode(YARD, points(7, 7), PRODUCER)], epochs=[2])
+        log.append([draft_of(ProcessFinished(time=NOON, process="p", frames=1, events=1, gaps=0))])
+        with owner(log) as connection:
+            connection.execute("select ensure_partition('process_finished', '2026-01-01')")
+            connection.execute("select ensure_partition('track_point', '2026-01-01')")
+            connection.execute(
+                "insert into process_finished values ('brno', 'gate', 'p', %s, 1, 3, now(), 'p', 1, 1, 0)", (NOON,)
+            )
+            connection.execute("insert into checkpoints values ('projector', 3, '')")
+    with open_log(dsn=empty) as log:
+        assert differences(empty) == []
+        assert query(log, "select id, epoch, process from process_finished_events") == [
+            ("brno/gate/process_finished/1", 1, "p")
+        ]
+        assert query(log, "select obj_description('process_finished_20260101'::regclass)") == [
+            ("Rows of process_finished of one day, 2026-01-01 (UTC).",)
+        ]
+        # Rows of two lives could not be told apart: they are made anew.
+        projector = Projector(log)
+        assert dict(projector.behind) == {"track_point": 0}
+        projector.catch_up()
+        projector.close()
+        assert query(log, "select id from events where type = 'track_point' order by position, sequence") == [
+            ("brno/gate/track_point/1",),
+            ("brno/gate/track_point/2",),
+            ("brno/yard/track_point/2:1",),
+        ]
+    run(empty, command.downgrade, "0002")
+    with psycopg.connect(empty) as connection:
+        assert connection.execute("select id from events where type = 'process_finished'").fetchall() == [
+            ("brno/gate/process_finished/1",)
+        ]
+        assert connection.execute("select has_table_privilege('vian_writer', 'track_point', 'delete')").fetchone() == (
+            True,
+        )
+    open_log(dsn=empty).close()
+    assert differences(empty) == []
