@@ -159,12 +159,12 @@ class Projector:
 
     def _read_behind(self) -> dict[str, int]:
         """The types of the catalogue that are behind; those that are not installed wait until they are."""
-        found = {
-            name.removeprefix(BEHIND): checkpoint.position
-            for name, checkpoint in self._log.checkpoints().items()
-            if name.startswith(BEHIND)
-        }
-        return {name: position for name, position in found.items() if name in self._log.catalogue}
+        with self._log.connection() as connection:
+            rows = connection.execute(
+                "select substr(name, %s), position from checkpoints where starts_with(name, %s)",
+                (len(BEHIND) + 1, BEHIND),
+            ).fetchall()
+        return {name: position for name, position in rows if name in self._log.catalogue}
 
     def _page(self, type_name: str, first: int, last: int) -> list[Segment]:
         return self._log.page(first, last, Filter(types=[type_name]), DELIVERY_SEGMENTS) if first <= last else []

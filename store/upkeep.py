@@ -125,7 +125,7 @@ _PARTITIONS = (
     "select p.name, c.oid, c.relname, to_date(right(c.relname, 8), 'YYYYMMDD') as day, "
     "to_regclass(quote_ident(c.relname || '_track')) is not null as is_closed "
     "from projections p join pg_inherits i on i.inhparent = to_regclass(quote_ident(p.name)) "
-    "join pg_class c on c.oid = i.inhrelid and c.relname = p.name || '_' || right(c.relname, 8)"
+    "join pg_class c on c.oid = i.inhrelid and c.relname ~ ('^' || p.name || '_[0-9]{8}$')"
 )
 _STATUS = f"""
 select p.name, p.version, coalesce(b.position, c.position, 0), b.name is not null,

@@ -13,8 +13,8 @@ begin
   perform from checkpoints where name in ('projector', 'projector:' || p_table) order by name for update;
   update projections set retained_from = p_day where name = p_table and (retained_from is null or retained_from < p_day);
   for partition in select i.inhrelid::regclass from pg_inherits i join pg_class c on c.oid = i.inhrelid
-      where i.inhparent = to_regclass(quote_ident(p_table)) and c.relname = p_table || '_' || right(c.relname, 8)
-      and to_date(right(c.relname, 8), 'YYYYMMDD') < p_day loop
+      where i.inhparent = to_regclass(quote_ident(p_table)) and c.relname ~ ('^' || p_table || '_[0-9]{8}$')
+      and right(c.relname, 8) < to_char(p_day, 'YYYYMMDD') loop
     execute format('drop table %s', partition);
     dropped := dropped + 1;
   end loop;

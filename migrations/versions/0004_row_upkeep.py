@@ -59,12 +59,12 @@ def upgrade() -> None:
         "where name in (select type from streams where epoch <> 1) order by name"
     )
     op.execute(
-        "do $$ declare r record; begin "
-        "for r in select c.oid::regclass as partition, p.name, to_date(right(c.relname, 8), 'YYYYMMDD') as day "
+        "do $$ declare r record; begin for r in "
+        "select cast(c.oid as regclass) as partition, p.name, cast(right(c.relname, 8) as date) as day "
         "from projections p join pg_inherits i on i.inhparent = to_regclass(quote_ident(p.name)) "
-        "join pg_class c on c.oid = i.inhrelid loop "
+        "join pg_class c on c.oid = i.inhrelid and c.relname ~ ('^' || p.name || '_[0-9]{8}$') loop "
         "execute format('comment on table %s is %L', r.partition, "
-        "format('Rows of %s of one day, %s (UTC).', r.name, r.day)); end loop; end $$".replace(":", r"\:")
+        "format('Rows of %s of one day, %s (UTC).', r.name, to_char(r.day, 'YYYY-MM-DD'))); end loop; end $$"
     )
     op.execute("drop view events")
     op.execute("select make_events_view()")

@@ -73,7 +73,6 @@ def test_a_type_that_is_new_here_gets_its_history_projected(make_log: Callable[.
         assert_rows_equal_events(knowing)
 
 
-@on_both
 def test_events_of_a_type_that_is_not_installed_for_a_while_get_their_rows_later(make_log: Callable[..., Log]) -> None:
     log = make_log(OLD)
     beep(log, "a")
@@ -120,7 +119,6 @@ def test_a_table_of_an_older_version_gets_the_newer_columns_and_is_filled_anew(m
         assert [name for (name,) in names] == ["tone", "pitch", "echo", "loudness_db"], "what is new comes last"
 
 
-@on_both
 def test_a_view_of_an_analyst_outlives_a_new_version(make_log: Callable[..., Log]) -> None:
     class HigherBeep(EventType, type="beep", version=2, subject="tone"):
         """Something beeped."""
@@ -209,7 +207,6 @@ def test_the_other_types_go_on_during_a_rebuild(log: Log, monkeypatch: pytest.Mo
     assert_rows_equal_events(log)
 
 
-@on_both
 @pytest.mark.parametrize("step", ["_decoded", "_copy", "_copy_what_fits", "save_checkpoint", "step_behind"])
 def test_a_rebuild_that_is_cut_short_anywhere_is_finished_by_the_next_projector(
     log: Log, monkeypatch: pytest.MonkeyPatch, step: str
@@ -257,7 +254,6 @@ def test_a_rebuild_that_joins_waits_for_what_came_in_between(log: Log, monkeypat
     assert (frames(log), dict(made.behind)) == ([1, 2], {})
 
 
-@on_both
 def test_several_projectors_at_once_rebuild_each_row_once(log: Log, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("store.projector.DELIVERY_SEGMENTS", 3)
     append(log, GATE, *[2] * 12)
@@ -335,7 +331,6 @@ def test_days_before_the_one_that_is_retained_are_not_made(log: Log) -> None:
     assert frames(log) == [0, 1, 2, 3]
 
 
-@on_both
 def test_a_projector_whose_days_another_one_emptied_makes_them_again(log: Log) -> None:
     made = Projector(log)
     append(log, GATE, 1)
@@ -399,7 +394,6 @@ def test_midnight_belongs_to_the_day_that_begins(log: Log) -> None:
         connection.execute("update projections set retained_from = null")
 
 
-@on_both
 def test_a_long_delivery_is_stored_in_several_transactions_and_goes_on_after_the_last_of_them(
     log: Log, monkeypatch: pytest.MonkeyPatch
 ) -> None:

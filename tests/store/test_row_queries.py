@@ -149,7 +149,6 @@ def test_tables_days_and_views_explain_themselves(log: Log) -> None:
     )
 
 
-@on_both
 def test_the_reader_reads_the_views_and_changes_nothing(log: Log) -> None:
     log.append([draft_of(event) for event in ONE_OF_EACH])
     project(log)
@@ -167,7 +166,6 @@ def test_the_reader_reads_the_views_and_changes_nothing(log: Log) -> None:
                     connection.execute(statement)
 
 
-@on_both
 def test_the_writer_adds_rows_and_takes_none_away(log: Log) -> None:
     log.append([draft_of(event) for event in ONE_OF_EACH])
     project(log)
