@@ -14,10 +14,13 @@ from store.errors import (
     StoreError,
     WrongMajor,
 )
-from store.log import Appended, Checkpoint, Log, StreamHead, Transaction, open_log
+from store.journal import Journal
+from store.log import Checkpoint, Log, StreamHead, Transaction, open_log
 from store.projector import Projector
+from store.shared import SharedAppender, Stored
 from store.subscription import Delivery, Subscription
 from store.verification import Verification, verify
+from store.writing import Appended
 
 __all__ = [
     "Appended",
@@ -26,12 +29,15 @@ __all__ = [
     "ChainBroken",
     "Checkpoint",
     "Delivery",
+    "Journal",
     "Log",
     "LogUnavailable",
     "Projector",
     "SchemaMismatch",
     "SequenceConflict",
+    "SharedAppender",
     "StoreError",
+    "Stored",
     "StreamHead",
     "Subscription",
     "Transaction",
