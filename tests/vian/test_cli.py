@@ -85,7 +85,10 @@ def test_a_folder_without_a_log_is_told_and_left_as_it_is(run: Run, arguments: l
     Path("token").write_text("a-token-that-nobody-guesses")
     ran = run(*arguments, "--data-dir", tmp_path / "typo")
     assert (ran.code, ran.out) == (1, "")
-    assert f"there is no log in {tmp_path}/typo. Next: vian demo or vian extract makes one" in ran.words
+    assert (
+        f"there is no log in {tmp_path}/typo (there is no such folder). Next: vian demo or vian extract makes one"
+        in ran.words
+    )
     assert not (tmp_path / "typo").exists()
 
 
