@@ -13,6 +13,13 @@ from vian.errors import WorldFailed
 from vian.options import check_known, opened, settings_for
 from vian.output import Output, to_json
 
+_MAY_READ = """
+select coalesce(bool_or(pg_has_role(session_user, oid,
+  case when current_setting('server_version_num')::integer >= 160000 then 'set' else 'member' end)), false)
+from pg_roles where rolname = 'vian_reader'
+"""
+"""Whether who connects may act as `vian_reader`; from PostgreSQL 16 on, a member may lack that right."""
+
 
 def register(app: typer.Typer) -> None:
     """Add the commands."""
@@ -135,10 +142,7 @@ def psql(
 def _as_reader(log: Log) -> str:
     """The log's address, to be used with the rights of `vian_reader`; a user who may not take them has fewer anyway."""
     with log.connection() as connection:
-        may = connection.execute(
-            "select coalesce(bool_or(pg_has_role(session_user, oid, case when "
-            "current_setting('server_version_num')::integer >= 160000 then 'set' else 'member' end)), false) from pg_roles where rolname = 'vian_reader'"
-        ).fetchone()
+        may = connection.execute(_MAY_READ).fetchone()
     if may != (True,):
         return log.dsn
     given = conninfo_to_dict(log.dsn).get("options") or ""
