@@ -6,7 +6,6 @@ stop, it did what it was told, and ends with 0.
 """
 
 import os
-import signal
 import sys
 from collections.abc import Iterator, MutableMapping
 from importlib import import_module
@@ -19,10 +18,9 @@ from rich.text import Text
 from typer.core import TyperGroup
 
 from vian import logs
-from vian.errors import exit_code, expected
+from vian.entry import INTERRUPTED
+from vian.errors import exit_code, expected, told
 from vian.version import VERSION
-
-INTERRUPTED = 130
 
 MODULES = {
     "demo": "demo",
@@ -101,7 +99,7 @@ class Commands(TyperGroup):
         try:
             return super().invoke(ctx)
         except expected() as error:
-            _tell(str(error))
+            _tell(told(error))
             raise typer.Exit(exit_code(error)) from error
         except BrokenPipeError as error:
             # The reader of our output has gone (`vian tail | head`): leave quietly.
@@ -138,13 +136,6 @@ def root(
 ) -> None:
     """ViAn: the event-sourced metadata store for video with an online situation-pattern engine."""
     logs.configure(as_json=False, level=10 if verbose else 30)
-
-
-def main() -> None:
-    """Run the command line and leave with its exit code."""
-    # Services are ended with SIGTERM: it shall end a command like Ctrl-C, so that an embedded PostgreSQL stops too.
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
-    app()
 
 
 def _tell(text: str) -> None:

@@ -31,6 +31,7 @@ class WrongUsage(VianError):
     """The command was asked for something that it cannot do."""
 
 
+_LOOK_CLOSER = ". Next: vian verify, which says what is wrong with which position"
 _PACKAGES = {
     "events.errors": "EventError",
     "store.errors": "StoreError",
@@ -50,6 +51,13 @@ _USAGE = {
 def expected() -> tuple[type[BaseException], ...]:
     """Errors that are told in one line; any other is a defect and shows its traceback."""
     return (VianError, *(_loaded(module, name) for module, name in _PACKAGES.items() if module in sys.modules))
+
+
+def told(error: BaseException) -> str:
+    """What an expected error says, and the next command where it does not say one itself."""
+    text = str(error)
+    is_corrupt = "events.errors" in sys.modules and isinstance(error, _loaded("events.errors", "CorruptSegment"))
+    return text + _LOOK_CLOSER if is_corrupt and "Next: " not in text else text
 
 
 def exit_code(error: BaseException) -> ExitCode:

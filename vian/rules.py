@@ -95,8 +95,8 @@ def processor_part(log: Log, station: str, path: Path) -> Part:
     rules = load_all([path])
     for remark in misplaced(log, rules):
         logger.warning("rule may find nothing", remark=remark)
-    deploy_all(log, station, rules)
     processor = Processor(log, station, rules, now=utc_now)
+    deploy_all(log, station, rules)  # only once it is known that they fit
     told: set[str] = set()
 
     def step() -> None:

@@ -4,6 +4,7 @@ import csv
 import json
 from pathlib import Path
 
+import psycopg
 import pyarrow as pa
 import pyarrow.parquet
 import pytest
@@ -157,3 +158,14 @@ def test_a_single_wide_row_is_shown_a_value_a_line(filled: Log, run: Run) -> Non
     columns = ", ".join(f"{number} as column_{number}" for number in range(40))
     ran = run("query", f"select {columns}", "--dsn", filled.dsn)
     assert "\ncolumn_39: 39\n" in ran.out
+
+
+def test_bytes_that_do_not_decode_lead_to_verify(log: Log, run: Run) -> None:
+    append(log, points(3))
+    with psycopg.connect(log.dsn, autocommit=True) as owner:
+        owner.execute("alter table segments disable trigger user")
+        owner.execute("update segments set payload = 'no payload'")
+    ran = run("query", "select * from track_point", "--dsn", log.dsn)
+    assert ran.code == 1
+    assert "brno/gate/track_point from sequence 1: " in ran.words
+    assert "Next: vian verify" in ran.words
