@@ -55,8 +55,8 @@ class JsonTable:
         self.connection.execute("drop table if exists reference_jsonb")
         self.connection.execute(
             "create table reference_jsonb (position bigint generated always as identity primary key, "
-            "stream text not null, sequence bigint not null, type text not null, time timestamptz not null, data jsonb not null, "
-            "unique (stream, sequence))"
+            "stream text not null, sequence bigint not null, type text not null, time timestamptz not null, "
+            "data jsonb not null, unique (stream, sequence))"
         )
 
     def copy(self, batch: EventBatch, stream: str, first_sequence: int) -> None:
