@@ -57,9 +57,8 @@ def test_a_place_is_written_down(journal: Journal) -> None:
     journal.add([draft(GATE, 1, 1), draft(GATE, 2, 2)], [None, None])
     _, second = journal.oldest(2)
     journal.place({second.id: 41})
-    again = reopened(journal)
-    assert [each.expected for each in again.oldest(2)] == [None, 41]
-    again.close()
+    with reopened(journal) as again:
+        assert [each.expected for each in again.oldest(2)] == [None, 41]
 
 
 def test_its_size_shrinks_when_it_is_emptied(journal: Journal) -> None:
