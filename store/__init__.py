@@ -15,11 +15,14 @@ from store.errors import (
     TableBusy,
     WrongMajor,
 )
-from store.log import Appended, Checkpoint, Log, StreamHead, Transaction, open_log
+from store.journal import Journal
+from store.log import Checkpoint, Log, StreamHead, Transaction, open_log
 from store.projector import Projector
+from store.shared import SharedAppender, Stored
 from store.subscription import Delivery, Subscription
 from store.upkeep import RowPolicy, RowTable, Upkeep, maintain, row_tables
 from store.verification import Verification, verify
+from store.writing import Appended
 
 __all__ = [
     "Appended",
@@ -28,6 +31,7 @@ __all__ = [
     "ChainBroken",
     "Checkpoint",
     "Delivery",
+    "Journal",
     "Log",
     "LogUnavailable",
     "Projector",
@@ -35,7 +39,9 @@ __all__ = [
     "RowTable",
     "SchemaMismatch",
     "SequenceConflict",
+    "SharedAppender",
     "StoreError",
+    "Stored",
     "StreamHead",
     "Subscription",
     "TableBusy",

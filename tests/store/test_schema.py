@@ -297,8 +297,8 @@ def test_a_role_that_may_make_nothing_is_told_what_to_do(server: Server, empty: 
 
 
 @on_both
-def test_a_log_of_the_first_release_keeps_its_rows_and_gets_what_is_new(empty: str) -> None:
-    run(empty, command.upgrade, "0002")
+def test_a_log_of_before_keeps_its_rows_and_gets_what_is_new(empty: str) -> None:
+    run(empty, command.upgrade, "0003")
     with Log(empty, Catalogue.shipped()) as log:
         append(log, GATE, 2)
         log.append([encode(YARD, points(7, 7), PRODUCER)], epochs=[2])
@@ -329,7 +329,7 @@ def test_a_log_of_the_first_release_keeps_its_rows_and_gets_what_is_new(empty: s
             ("brno/gate/track_point/2",),
             ("brno/yard/track_point/2:1",),
         ]
-    run(empty, command.downgrade, "0002")
+    run(empty, command.downgrade, "0003")
     with psycopg.connect(empty) as connection:
         assert connection.execute("select id from events where type = 'process_finished'").fetchall() == [
             ("brno/gate/process_finished/1",)
