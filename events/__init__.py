@@ -8,9 +8,11 @@ from events.catalogue import SHIPPED, Catalogue, load_catalogue
 from events.columns import EventBatch, batch_of, batch_of_type, events_of, schema_of, with_envelope
 from events.errors import CorruptSegment, EventError, InvalidEvent, InvalidName, UnknownType
 from events.media import VideoAdded
-from events.model import EventType, Float32, JsonText, Part, PersonalBytes, PersonalText, UtcTime
+from events.model import EventType, Float32, JsonText, Part, PersonalBytes, PersonalJson, PersonalText, UtcTime
 from events.motion import ActivityInterval, TrackEnded, TrackPoint
 from events.names import Source, Station, StreamName, TypeName, source_name, station_name, type_name
+from events.plates import PlateRead
+from events.proof import CheckpointSigned, LossRecorded
 from events.segment import (
     GENESIS,
     Draft,
@@ -34,6 +36,7 @@ __all__ = [
     "SHIPPED",
     "ActivityInterval",
     "Catalogue",
+    "CheckpointSigned",
     "CorruptSegment",
     "Draft",
     "EventBatch",
@@ -44,10 +47,13 @@ __all__ = [
     "InvalidEvent",
     "InvalidName",
     "JsonText",
+    "LossRecorded",
     "MatchedRange",
     "Part",
     "PersonalBytes",
+    "PersonalJson",
     "PersonalText",
+    "PlateRead",
     "Position",
     "ProcessFailed",
     "ProcessFinished",

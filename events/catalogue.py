@@ -14,6 +14,8 @@ from events.errors import UnknownType
 from events.media import VideoAdded
 from events.model import EventType
 from events.motion import ActivityInterval, TrackEnded, TrackPoint
+from events.plates import PlateRead
+from events.proof import CheckpointSigned, LossRecorded
 from events.situations import RuleDeployed, SituationDetected
 from events.stations import SyncPlanned
 from events.work import ProcessFailed, ProcessFinished, ProcessProgressed, ProcessStarted
@@ -30,6 +32,9 @@ SHIPPED: tuple[type[EventType], ...] = (
     SituationDetected,
     RuleDeployed,
     SyncPlanned,
+    CheckpointSigned,
+    LossRecorded,
+    PlateRead,
 )
 ENTRY_POINT_GROUP = "vian.events"
 

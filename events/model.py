@@ -69,6 +69,14 @@ JsonText = Annotated[
 PersonalText = Annotated[str, Stored(pa.string(), is_personal=True)]
 """Text about a person (a number plate), which a later version may store encrypted."""
 
+PersonalJson = Annotated[
+    str,
+    Stored(pa.string(), is_json=True, is_personal=True),
+    AfterValidator(_json),
+    WithJsonSchema({"type": "string", "contentMediaType": "application/json"}),
+]
+"""JSON about a person (other readings of a number plate), which a later version may store encrypted."""
+
 PersonalBytes = Annotated[bytes, Stored(pa.binary(), is_personal=True)]
 """Bytes about a person (a descriptor of looks), which a later version may store encrypted."""
 

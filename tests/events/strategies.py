@@ -95,7 +95,7 @@ def _values(info: FieldInfo) -> st.SearchStrategy[Any]:
 def _of(annotation: Any, metadata: list[Any]) -> st.SearchStrategy[Any]:
     if get_origin(annotation) is Annotated:
         inner, *more = get_args(annotation)
-        return _of(inner, metadata + more)
+        return _of(inner, metadata + [each for m in more for each in (m.metadata if isinstance(m, FieldInfo) else [m])])
     if NoneType in get_args(annotation):
         (inner,) = (a for a in get_args(annotation) if a is not NoneType)
         return st.none() | _of(inner, metadata)

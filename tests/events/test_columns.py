@@ -242,5 +242,12 @@ def test_enveloped_columns_keep_their_bits() -> None:
 
 def test_an_optional_field_of_a_shipped_type_is_a_column_that_may_be_null() -> None:
     optional = {f"{t.type_name}.{f.name}" for t in SHIPPED for f in schema_of(t) if f.nullable}
-    assert optional == {"video_added.fps", "video_added.frames_expected", "process_progressed.note"}
+    lost = ("count", "first_sequence", "last_sequence", "lost_from_at", "lost_until_at", "policy")
+    assert optional == {
+        "video_added.fps",
+        "video_added.frames_expected",
+        "process_progressed.note",
+        *(f"loss_recorded.{name}" for name in lost),
+        *(f"plate_read.{name}" for name in ("country", "region", "candidates")),
+    }
     assert TrackEnded.subject_field == "track_id"

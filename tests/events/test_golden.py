@@ -59,6 +59,8 @@ def _plain(row: dict[str, Any]) -> str:
 
 
 def _value(value: Any) -> Any:
+    if isinstance(value, bytes):
+        return value.decode()
     if isinstance(value, datetime):
         return value.isoformat(timespec="microseconds")
     if isinstance(value, float) and value - value != 0:
