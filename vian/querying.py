@@ -1,7 +1,8 @@
 """SQL over the log: DuckDB, each event type a table, straight from the segments.
 
 Contract: an answer rests on what the log held when the query began; projections are not needed.
-Only the types that a query names are decoded. Tables bear the columns of the row tables in
+Only the types that a query names are decoded, in their newest version; what is stored in a version newer than this
+program knows has no row in its type's table, and is counted. Tables bear the columns of the row tables in
 PostgreSQL, so a query means the same at both doors; `events` has the envelope of all types, and
 `streams` the heads.
 """

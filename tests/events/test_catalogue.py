@@ -1,6 +1,7 @@
 from collections.abc import Callable
 from pathlib import Path
 
+import pyarrow as pa
 import pytest
 
 from events import SHIPPED, Catalogue, EventType, InvalidEvent, TrackPoint, UnknownType, load_catalogue
@@ -28,8 +29,12 @@ def _defining(name: str, body: str = "    pass", version: int = 1) -> str:
     return f"from events import EventType\nclass T(EventType, type='{name}', version={version}):\n{body}\n"
 
 
-class TrackPoint2(EventType, type="track_point", version=2):
+class TrackPoint2(EventType, type="track_point", version=2, older=TrackPoint):
     """A later version."""
+
+    @classmethod
+    def upcast(cls, older: pa.RecordBatch) -> pa.RecordBatch:
+        return older.select(["time"])
 
 
 def test_the_shipped_catalogue_holds_every_shipped_type_once() -> None:
@@ -87,7 +92,14 @@ def test_a_plugged_type_joins_the_shipped_ones(installed: Install) -> None:
 
 
 def test_a_plugged_newer_version_of_a_shipped_type_stands_beside_it(installed: Install) -> None:
-    installed("plug_newer", _defining("track_point", version=2), newer="T")
+    module = """
+from events import EventType, TrackPoint
+class T(EventType, type='track_point', version=2, older=TrackPoint):
+    @classmethod
+    def upcast(cls, older):
+        return older.select(['time'])
+"""
+    installed("plug_newer", module, newer="T")
     catalogue = load_catalogue()
     assert catalogue.newest("track_point").version == 2
     assert catalogue.find("track_point", 1) is TrackPoint
