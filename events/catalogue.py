@@ -92,6 +92,18 @@ class Catalogue:
             )
         return versions[version]
 
+    def check_registered(self, event_type: type[EventType]) -> None:
+        """Nothing, if events of this type and version may be appended.
+
+        Raises:
+            UnknownType: The catalogue does not hold this very type.
+        """
+        if self._versions.get(event_type.type_name, {}).get(event_type.version) is not event_type:
+            raise UnknownType(
+                f"event type {event_type.type_name!r} version {event_type.version} of {event_type.__module__} is not "
+                f"registered here. Next: offer it as an entry point of {ENTRY_POINT_GROUP!r} in its distribution"
+            )
+
     def versions(self, name: str) -> tuple[type[EventType], ...]:
         """All versions of the type of this name, oldest first.
 
