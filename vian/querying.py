@@ -1,12 +1,15 @@
 """SQL over the log: DuckDB, each event type a table, straight from the segments.
 
 Contract: an answer rests on what the log held when the query began; projections are not needed.
-Only the types that a query names are decoded. Tables bear the columns of the row tables in
+Only the types that a query names are decoded, in their newest version; what is stored in a version newer than this
+program knows has no row in its type's table, and is counted. Tables bear the columns of the row tables in
 PostgreSQL, so a query means the same at both doors; `events` has the envelope of all types, and
 `streams` the heads.
 """
 
+import logging
 import re
+from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime
@@ -18,6 +21,8 @@ import pyarrow.compute as pc
 from events import EventType, Segment, UnknownType, decode, schema_of, with_envelope
 from store import Log
 from vian.errors import WrongUsage
+
+logger = logging.getLogger(__name__)
 
 _TIMESTAMP = pa.timestamp("us", tz="UTC")
 _FRONT = pa.schema(
@@ -122,11 +127,15 @@ def _rows(log: Log, event_type: type[EventType], scope: Scope) -> pa.Table:
     """The row table of a type: envelope columns, then the type's fields."""
     payload = [field.remove_metadata() for field in schema_of(event_type) if field.name != "time"]
     schema = pa.schema([*_FRONT, *(pa.field(field.name, field.type) for field in payload)])
-    batches = (
-        _with_place(segment, log).select(schema.names).cast(schema)
-        for segment in _segments(log, [event_type.type_name], scope)
-    )
-    return pa.Table.from_batches(list(batches), schema=schema)
+    batches, unknown = [], Counter[str]()
+    for segment in _segments(log, [event_type.type_name], scope):
+        try:
+            batches.append(_with_place(segment, log).select(schema.names).cast(schema))
+        except UnknownType as error:
+            unknown[str(error)] += segment.header.event_count
+    for reason, count in unknown.items():
+        logger.warning("the answer leaves out %d events: %s", count, reason)
+    return pa.Table.from_batches(batches, schema=schema)
 
 
 def _events(log: Log, scope: Scope) -> pa.Table:
