@@ -1,8 +1,9 @@
 """Many segments decoded at once: the hot road from the log to columns.
 
 Contract: what comes out is in the order of what went in, each segment with its events, or with why this
-program does not know them: the caller decides whether it goes on without. Decompression leaves Python's lock, so a few threads
-decode while the database sends what follows. Memory is bounded by the chunks that are on their way.
+program does not know them: the caller decides whether it goes on without. Decompression leaves Python's
+lock, so a few threads decode while the database sends what follows. Memory is bounded by the chunks that
+are on their way.
 """
 
 from collections import deque

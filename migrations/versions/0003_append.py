@@ -31,9 +31,7 @@ def upgrade() -> None:
             comment="when the newest segment was taken (UTC); 1970 when there is none",
         ),
     )
-    op.execute(
-        "update log_head set recorded_at = coalesce((select max(recorded_at) from segments), '1970-01-01 00:00:00+00')"
-    )
+    op.execute("update log_head set recorded_at = coalesce((select max(recorded_at) from segments), recorded_at)")
     op.execute("drop function append_segments")
     _create("0003_append_segments.sql")
 

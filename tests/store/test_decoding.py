@@ -20,8 +20,7 @@ def test_each_segment_comes_with_its_events_in_the_order_of_the_log(log: Log, th
 
 def test_what_is_not_known_comes_with_the_reason_and_the_rest_goes_on(log: Log) -> None:
     log.append([draft_of(event) for event in ONE_OF_EACH])
-    found = dict(zip([str(s.stream.type) for s in log.read_all()],
-                     [events for _, events in decoded(log.read_all(), Catalogue([VideoAdded]))], strict=True))  # fmt: skip
+    found = {segment.stream.type: events for segment, events in decoded(log.read_all(), Catalogue([VideoAdded]))}
     assert isinstance(found.pop("video_added"), EventBatch)
     assert {type(events) for events in found.values()} == {UnknownType}
 
