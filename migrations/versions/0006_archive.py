@@ -20,9 +20,7 @@ _TIMESTAMP = sa.TIMESTAMP(timezone=True)
 
 
 def _sql(name: str, revision: str = "0006") -> str:
-    return (
-        files("migrations").joinpath("sql", f"{revision}_{name}.sql").read_text(encoding="utf-8").replace(":", r"\:")
-    )
+    return files("migrations").joinpath("sql", f"{revision}_{name}.sql").read_text(encoding="utf-8").replace(":", r"\:")
 
 
 def upgrade() -> None:
@@ -75,9 +73,7 @@ def upgrade() -> None:
             nullable=False,
             comment="first position of the file",
         ),
-        sa.Column(
-            "first_position", sa.BigInteger, nullable=False, comment="position of its first segment in the file"
-        ),
+        sa.Column("first_position", sa.BigInteger, nullable=False, comment="position of its first segment in the file"),
         sa.Column("last_position", sa.BigInteger, nullable=False, comment="position of its last segment in the file"),
         sa.Column("time_min", _TIMESTAMP, nullable=False, comment="its earliest event in the file (UTC)"),
         sa.Column("time_max", _TIMESTAMP, nullable=False, comment="its latest event in the file (UTC)"),
