@@ -6,10 +6,12 @@ checkpoints and verify are its methods. Rows for SQL are projections of segments
 
 from store.appender import Appender
 from store.errors import (
+    ArchiveUnavailable,
     BadRequest,
     ChainBroken,
     LogUnavailable,
     SchemaMismatch,
+    SealedFileDamaged,
     SequenceConflict,
     StoreError,
     WrongMajor,
@@ -22,6 +24,7 @@ from store.verification import Verification, verify
 __all__ = [
     "Appended",
     "Appender",
+    "ArchiveUnavailable",
     "BadRequest",
     "ChainBroken",
     "Checkpoint",
@@ -30,6 +33,7 @@ __all__ = [
     "LogUnavailable",
     "Projector",
     "SchemaMismatch",
+    "SealedFileDamaged",
     "SequenceConflict",
     "StoreError",
     "StreamHead",

@@ -6,7 +6,7 @@ while a range moves from one to the other.
 """
 
 import threading
-from collections import OrderedDict
+from collections import OrderedDict, deque
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -112,6 +112,35 @@ class ColdTier:
                     return found
         return found
 
+    def changed_files(self, first: int = 1, last: int = _EVERYWHERE[1]) -> Iterator[SealedFileDamaged]:
+        """What is wrong with each file that is not, to the byte, the one that was sealed.
+
+        This covers what no chain does: the file's own structure, the columns for looking up, `recorded_at`.
+
+        Raises:
+            ArchiveUnavailable: The archive cannot be reached.
+        """
+        for file in self.files(first, last):
+            place = self.place()
+            path = place.full(file.path)
+            try:
+                sha256, size = place.digest(file.path)
+            except FileNotFoundError:
+                yield damaged(path, file.first_position, file.last_position, "is not there")
+                continue
+            if (sha256, size) != (file.sha256, file.bytes):
+                reason = f"has changed: its SHA-256 is {sha256.hex()}, sealed was {file.sha256.hex()}"
+                yield damaged(path, file.first_position, file.last_position, reason)
+
+    def of_file(self, file: SealedFile) -> Iterator[Segment]:
+        """All segments of a file, in order.
+
+        Raises:
+            ChainBroken: One does not hold, or the file cannot be read there.
+            ArchiveUnavailable: The archive cannot be reached.
+        """
+        return self._segments(file, _EVERYWHERE, _ANY, None)
+
     def of_stream(self, stream: Stream, stream_id: int, from_sequence: int, to_sequence: int) -> Iterator[Segment]:
         """The stream's sealed segments that hold `from_sequence` or a later event, in order.
 
@@ -156,12 +185,10 @@ class ColdTier:
         first, last, sequence, chain_hash, *file = rows[0]
         if last <= at_position:
             return End(sequence, chain_hash)
-        newest = None
-        for newest in self._segments(SealedFile(*file), (first, at_position), _ANY, stream):
-            pass
-        if newest is None:
+        newest = deque(self._segments(SealedFile(*file), (first, at_position), _ANY, stream), maxlen=1)
+        if not newest:
             raise ChainBroken(stream[0], first, 0, f"the sealed file {file[0]} does not hold it, which the index says")
-        return End(newest.header.last_sequence, newest.chain_hash)
+        return End(newest[0].header.last_sequence, newest[0].chain_hash)
 
     def holding(self, stream: Stream, sequence: int) -> tuple[int, Segment | None]:
         """Where a stream stands, and its sealed segment that holds an event; None if that is not sealed.

@@ -6,7 +6,7 @@ Contract: a `Place` opens, writes, moves and deletes files below its root. What 
 
 import hashlib
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 from typing import Any, BinaryIO, cast
@@ -46,7 +46,7 @@ class Place:
         Raises:
             ArchiveUnavailable: It is not.
         """
-        with self._reaching():
+        with self.reaching():
             is_there = self._fs.get_file_info(self._root).type != fs.FileType.NotFound
         if not is_there:
             raise ArchiveUnavailable(
@@ -94,14 +94,26 @@ class Place:
             ArchiveUnavailable: It cannot be written.
         """
         full = self.full(path)
-        with self._reaching():
+        with self.reaching():
+            folders = self._new_folders(full)
             self._fs.create_dir(str(PurePosixPath(full).parent), recursive=True)
             with self._fs.open_output_stream(full) as out:
                 sink = _Hashed(out)
                 fill(cast(BinaryIO, sink))
             if self.is_local:
-                _settle(Path(full))
+                _settle(Path(full), folders)
         return sink.digest.digest(), sink.size
+
+    def create(self, path: str) -> pa.NativeFile:
+        """A file to write to; folders are made, and a file that is there is replaced.
+
+        Raises:
+            ArchiveUnavailable: It cannot be made.
+        """
+        with self.reaching():
+            full = self.full(path)
+            self._fs.create_dir(str(PurePosixPath(full).parent), recursive=True)
+            return self._fs.open_output_stream(full)
 
     def move(self, path: str, to: str) -> None:
         """Give a file another name; one that has it is replaced.
@@ -109,7 +121,7 @@ class Place:
         Raises:
             ArchiveUnavailable: It cannot be done.
         """
-        with self._reaching():
+        with self.reaching():
             self._fs.move(self.full(path), self.full(to))
 
     def delete(self, path: str) -> None:
@@ -118,7 +130,7 @@ class Place:
         Raises:
             ArchiveUnavailable: The archive is not there.
         """
-        with self._reaching():
+        with self.reaching():
             if self._fs.get_file_info(self.full(path)).type != fs.FileType.NotFound:
                 self._fs.delete_file(self.full(path))
 
@@ -128,12 +140,25 @@ class Place:
         Raises:
             ArchiveUnavailable: The file system does not answer.
         """
-        with self._reaching():
+        with self.reaching():
             info = self._fs.get_file_info(self.full(path))
         return info.size if info.type == fs.FileType.File else None
 
+    def _new_folders(self, full: str) -> list[Path]:
+        """The folders whose contents change when a local file is made: its own, and those above that are not there."""
+        if not self.is_local:
+            return []
+        above = Path(full).parents
+        made = [folder for folder in above if not folder.exists()]
+        return list(above[: len(made) + 1])
+
     @contextmanager
-    def _reaching(self) -> Iterator[None]:
+    def reaching(self) -> Iterator[None]:
+        """What fails inside is told as the archive's failure.
+
+        Raises:
+            ArchiveUnavailable: Something failed that has to do with files.
+        """
         try:
             yield
         except OSError as error:
@@ -182,13 +207,13 @@ class _Hashed:
         return False
 
 
-def _settle(path: Path) -> None:
+def _settle(path: Path, folders: Sequence[Path]) -> None:
     """Bring a file and its name onto the disk, and forget its bytes, so that reading it back reads the disk."""
-    for each, flags in ((path, os.O_RDONLY), (path.parent, os.O_RDONLY | os.O_DIRECTORY)):
-        descriptor = os.open(each, flags)
+    for each in (path, *folders):
+        descriptor = os.open(each, os.O_RDONLY)
         try:
             os.fsync(descriptor)
-            if each == path:
+            if each == path and hasattr(os, "posix_fadvise"):
                 os.posix_fadvise(descriptor, 0, 0, os.POSIX_FADV_DONTNEED)
         finally:
             os.close(descriptor)

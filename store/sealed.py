@@ -21,7 +21,6 @@ import pyarrow.parquet as pq
 
 from events import (
     GENESIS,
-    CorruptSegment,
     EventError,
     Position,
     Segment,

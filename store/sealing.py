@@ -30,6 +30,7 @@ FILE_BYTES = 64 * 1024 * 1024
 _PLAN_SEGMENTS = 5_000
 _ROW_BYTES = 256
 """About what a segment takes besides its payload."""
+_NOTHING_LEFT = "Nothing left the log. Next: check that disk, then run the same command again"
 
 
 @dataclass(frozen=True, slots=True)
@@ -247,14 +248,13 @@ class Sealer:
             if found != (sha256, size):
                 raise ArchiveUnavailable(
                     f"{path} was written with {size} bytes and SHA-256 {sha256.hex()}, and read back with {found[1]} "
-                    f"and {found[0].hex()}. Nothing left the log. Next: check that disk, then run the same command again"
+                    f"and {found[0].hex()}. {_NOTHING_LEFT}"
                 )
             with self._place.open(plan.path) as source:
                 return SealedReader(source, path, plan.first, plan.last).chains()
         except (FileNotFoundError, ChainBroken) as error:
             raise ArchiveUnavailable(
-                f"{path} does not verify when it is read back: {error}. Nothing left the log. "
-                "Next: check that disk, then run the same command again"
+                f"{path} does not verify when it is read back: {error}. {_NOTHING_LEFT}"
             ) from error
 
     def _remove(self, plan: _Plan, ends: dict[Stream, End], sha256: bytes, size: int) -> None:

@@ -167,7 +167,7 @@ archive_projections = sa.Table(
         autoincrement=False,
         comment="first position of the sealed file",
     ),
-    sa.Column("files", sa.BigInteger, nullable=False, comment="number of Parquet files made of it"),
+    sa.Column("paths", pg.ARRAY(sa.Text), nullable=False, comment="the Parquet files made of it"),
     sa.Column("events", sa.BigInteger, nullable=False, comment="number of events in them"),
     sa.Column("segments_skipped", sa.BigInteger, nullable=False, comment="segments that could not be decoded"),
     sa.Column("note", sa.Text, comment="why the first of these could not"),

@@ -92,17 +92,14 @@ def upgrade() -> None:
             autoincrement=False,
             comment="first position of the sealed file",
         ),
-        sa.Column("files", sa.BigInteger, nullable=False, comment="number of Parquet files made of it"),
+        sa.Column("paths", pg.ARRAY(sa.Text), nullable=False, comment="the Parquet files made of it"),
         sa.Column("events", sa.BigInteger, nullable=False, comment="number of events in them"),
         sa.Column("segments_skipped", sa.BigInteger, nullable=False, comment="segments that could not be decoded"),
         sa.Column("note", sa.Text, comment="why the first of these could not"),
         sa.Column("projected_at", _TIMESTAMP, nullable=False, server_default=sa.func.now(), comment="when"),
         comment="Which sealed files have their decoded events in Parquet beside them.",
     )
-    # Functions keep this path; temporary tables last, lest a caller's own stand in for the log's.
-    op.execute(
-        "select set_config('search_path', replace(current_setting('search_path'), ', pg_temp', '') || ', pg_temp', true)"
-    )
+    _set_path()
     for name in ("refuse_removal", *_FUNCTIONS, "append_segments"):
         op.execute(_sql(name))
     op.execute("drop trigger segments_no_update on segments")
@@ -126,15 +123,21 @@ def downgrade() -> None:
     op.execute("drop trigger segments_no_update on segments")
     op.execute("drop trigger segments_no_delete on segments")
     _refuse("segments", "update or delete", "refuse_change")
-    op.execute(
-        "select set_config('search_path', replace(current_setting('search_path'), ', pg_temp', '') || ', pg_temp', true)"
-    )
+    _set_path()
     op.execute(_sql("append_segments", "0001").replace("create function", "create or replace function", 1))
     for name in (*_FUNCTIONS, "refuse_removal"):
         op.execute(f"drop function {name}")
     for table in reversed(_TABLES):
         op.drop_table(table)
     op.execute("revoke select on log_head, streams, segments from vian_archiver")
+
+
+def _set_path() -> None:
+    """Functions keep this path; temporary tables last, lest a caller's own stand in for the log's."""
+    op.execute(
+        "select set_config('search_path', "
+        "replace(current_setting('search_path'), ', pg_temp', '') || ', pg_temp', true)"
+    )
 
 
 def _refuse(table: str, change: str, function: str) -> None:
