@@ -9,6 +9,7 @@ replaces. Memory is bounded, and so is the number of open files.
 
 import json
 from collections.abc import Iterator
+from contextlib import ExitStack, closing
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from pathlib import PurePosixPath
@@ -95,9 +96,11 @@ class _Open:
             self.waiting = []
 
     def close(self) -> None:
-        self.flush()
-        self.writer.close()
-        self.sink.close()
+        try:
+            self.flush()
+        finally:
+            self.writer.close()
+            self.sink.close()
 
 
 def waiting(log: Log) -> list[SealedFile]:
@@ -155,7 +158,7 @@ def _pass(log: Log, file: SealedFile, place: Place, done: set[Key], tally: _Tall
     files: dict[Key, _Open] = {}
     is_whole = True
     rows = 0
-    with place.reaching():
+    with place.reaching(), ExitStack() as closing_all:
         for key, batch in _batches(log, file, tally):
             if key in done:
                 continue
@@ -163,15 +166,13 @@ def _pass(log: Log, file: SealedFile, place: Place, done: set[Key], tally: _Tall
                 if len(files) == FILES_OPEN_MAX:
                     is_whole = False
                     continue
-                files[key] = _opened(place, key, file)
+                files[key] = closing_all.enter_context(closing(_opened(place, key, file)))
             files[key].waiting.append(batch)
             rows += batch.num_rows
             if rows > ROWS_KEPT_MAX:
                 rows = 0
                 for each in files.values():
                     each.flush()
-        for each in files.values():
-            each.close()
     return set(files), is_whole
 
 

@@ -11,7 +11,7 @@ Sealing runs as the role `vian_archiver`, the only one that may remove from the 
 
 import secrets
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from datetime import datetime
 from typing import Any, BinaryIO
@@ -209,15 +209,14 @@ class Sealer:
         chains = Chains(before)
 
         def fill(sink: BinaryIO) -> None:
-            writer = SealedWriter(sink, plan.first, plan.last)
-            for first, last in plan.groups:
-                segments = list(self._log.read_all(first, to_position=last))
-                _check_positions(segments, first, last)
-                for segment in segments:
-                    chains.follow(segment)
-                writer.write(segments, before)
-                self._on_step("writing")
-            writer.close()
+            with closing(SealedWriter(sink, plan.first, plan.last)) as writer:
+                for first, last in plan.groups:
+                    segments = list(self._log.read_all(first, to_position=last))
+                    _check_positions(segments, first, last)
+                    for segment in segments:
+                        chains.follow(segment)
+                    writer.write(segments, before)
+                    self._on_step("writing")
 
         sha256, size = self._place.write(plan.path, fill)
         return chains, sha256, size

@@ -84,7 +84,7 @@ def verify(log: Log, on_segment: Callable[[Segment], None] | None = None) -> Ver
         _check_head(head, progress)
     unclaimed = [_hole(first, last) for first, last in progress.holes.items() if first not in progress.missed]
     faults = [*progress.broken.values(), *progress.damaged, *unclaimed]
-    faults += _changed_files(log, [fault.position for fault in faults if fault.position is not None])
+    faults += _changed_files(log, progress.damaged)
     broken = sorted(faults, key=lambda fault: fault.position or end + 1)
     return Verification(progress.segments, progress.events, len(progress.streams), end, broken)
 
@@ -119,12 +119,13 @@ def _pass_over(damage: SealedFileDamaged, progress: _Progress) -> None:
     progress.missed.add(damage.position)
 
 
-def _changed_files(log: Log, broken: list[int]) -> list[SealedFileDamaged]:
-    """The sealed files that differ from what was sealed, but for those in which a break was found already."""
+def _changed_files(log: Log, damaged: list[SealedFileDamaged]) -> list[SealedFileDamaged]:
+    """The sealed files that differ from what was sealed, but for those that are told of already."""
+    told = [damage.position or 0 for damage in damaged]
     return [
         changed
         for changed in log.archive.changed_files()
-        if not any((changed.position or 0) <= position <= changed.last_position for position in broken)
+        if not any((changed.position or 0) <= position <= changed.last_position for position in told)
     ]
 
 

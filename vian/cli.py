@@ -15,7 +15,7 @@ from typer.core import TyperGroup
 
 from events import CorruptSegment
 from vian import logs
-from vian.commands import demo, doctor, extract, log, query, rules, serve, station, sync
+from vian.commands import archive, demo, doctor, extract, log, query, rules, serve, station, sync
 from vian.entry import INTERRUPTED
 from vian.errors import EXPECTED, exit_code
 from vian.version import VERSION
@@ -58,6 +58,7 @@ app = typer.Typer(
 app.add_typer(extract.app, name="extract")
 app.add_typer(rules.app, name="rules")
 app.add_typer(station.app, name="station")
+app.add_typer(archive.app, name="archive")
 for module in (demo, query, log, sync, serve, doctor):
     module.register(app)
 
