@@ -39,7 +39,7 @@ _FRONT = (
     pa.field("station", pa.string(), False, {"description": "station that recorded it"}),
     pa.field("source", pa.string(), False, {"description": "camera or sensor"}),
     pa.field("subject", pa.string(), True, {"description": "what it is about"}),
-    pa.field("time", _TIMESTAMP, False, {"description": "when it happened (UTC)"}),
+    pa.field("time", _TIMESTAMP, False, {"description": "when it happened (UTC, microseconds)"}),
     pa.field("epoch", pa.int32(), False, {"description": "life of the station's log, from 1"}),
     pa.field("sequence", pa.int64(), False, {"description": "place in its stream"}),
     pa.field("position", pa.int64(), False, {"description": "position of its segment in this log"}),

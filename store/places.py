@@ -36,6 +36,11 @@ class Place:
         """Whether it is a folder of this machine."""
         return isinstance(self._fs, fs.LocalFileSystem)
 
+    @property
+    def name(self) -> str:
+        """Where it is, as people would say it."""
+        return self._root if self.is_local else self.location
+
     def full(self, path: str) -> str:
         """The path as the file system knows it."""
         return str(PurePosixPath(self._root) / path)
@@ -50,7 +55,7 @@ class Place:
             is_there = self._fs.get_file_info(self._root).type != fs.FileType.NotFound
         if not is_there:
             raise ArchiveUnavailable(
-                f"the archive of sealed files is not at {self.location}. Next: mount or bring back that folder; if its "
+                f"the archive of sealed files is not at {self.name}. Next: mount or bring back that folder; if its "
                 "files lie elsewhere now: vian archive relocate --to URL"
             )
 
@@ -166,7 +171,7 @@ class Place:
 
     def _unavailable(self, error: OSError) -> ArchiveUnavailable:
         return ArchiveUnavailable(
-            f"the archive at {self.location} does not do its part: {error}. Next: look to that place (space, rights, "
+            f"the archive at {self.name} does not do its part: {error}. Next: look to that place (space, rights, "
             "network), then run the same command again"
         )
 
@@ -226,8 +231,8 @@ def _file_system(location: str, data_dir: Path | None) -> tuple[fs.FileSystem, s
     if not path.is_absolute():
         if data_dir is None:
             raise BadRequest(
-                f"the archive is at {location!r} in the folder of the embedded log, and this log was opened by its "
-                "address. Next: open it with --data-dir"
+                f"this log was opened by its address, so there is no folder for its archive {location!r}. "
+                "Next: give --to FOLDER or URL; if it is an embedded log: --data-dir DIR"
             )
         path = data_dir / path
     return fs.LocalFileSystem(), str(path)

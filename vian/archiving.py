@@ -50,6 +50,11 @@ def location_for(log: Log, wanted: str | None) -> str:
     return wanted if "://" in wanted else str(Path(wanted).expanduser().resolve())
 
 
+def place_of(log: Log, location: str) -> Place:
+    """The place that a location names, for this log."""
+    return Place(location, log.server.data_dir if log.server else None)
+
+
 def archive(
     log: Log,
     location: str,
@@ -93,7 +98,7 @@ def relocate(log: Log, location: str, on_file: Callable[[int], None] = lambda co
     Raises:
         WorldFailed: One is not there, or is not the one that was sealed.
     """
-    place = Place(location, log.server.data_dir if log.server else None)
+    place = place_of(log, location)
     place.require()
     files = log.archive.files()
     for count, file in enumerate(files, 1):

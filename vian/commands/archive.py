@@ -1,6 +1,7 @@
 """`vian archive`: old segments out of PostgreSQL, into sealed files, with Parquet beside them."""
 
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -53,11 +54,14 @@ def archive(
     output = Output(is_json=as_json)
     with opened(settings, data_dir=data_dir) as log:
         location = location_for(log, settings.archive)
+        name = archiving.place_of(log, location).name
         if dry_run:
-            _foresee(log, location, before, output)
+            _foresee(log, name, before, output)
             return
         with exclusively(log, "the archive"):
-            _archive(log, location, before, settings.archive_file_mb * _MB, output)
+            done, files = _archive(log, location, before, settings.archive_file_mb * _MB, output)
+        if not output.is_json:
+            output.line(f"{done} segments sealed in {files} files at {name}" if files else _nothing(log, before))
 
 
 @app.command(epilog="Example: vian archive status --json")
@@ -102,13 +106,15 @@ def relocate(
         location = location_for(log, to)
         with output.progress("sealed files", len(log.archive.files())) as bar:
             count = archiving.relocate(log, location, bar.at)
+    name = archiving.place_of(log, location).name
     output.result(
-        {"location": location, "files": count},
-        f"the archive is at {location}: {count} sealed files, each with the SHA-256 that it was sealed with",
+        {"location": name, "files": count},
+        f"the archive is at {name}: {count} sealed files, each with the SHA-256 that it was sealed with",
     )
 
 
-def _archive(log: Log, location: str, before: datetime, file_bytes: int, output: Output) -> None:
+def _archive(log: Log, location: str, before: datetime, file_bytes: int, output: Output) -> tuple[int, int]:
+    """Seal, and say how many segments in how many files."""
     wanted = outlook(log, before)
     done = files = 0
     with output.progress("segments", wanted.segments) as bar:
@@ -118,8 +124,7 @@ def _archive(log: Log, location: str, before: datetime, file_bytes: int, output:
                 files += 1
                 done += each.last_position - each.first_position + 1
                 bar.at(done)
-    if not output.is_json:
-        output.line(f"{done} segments sealed in {files} files at {location}" if files else _nothing(log, before))
+    return done, files
 
 
 def _nothing(log: Log, before: datetime) -> str:
@@ -158,10 +163,10 @@ def _tell(done: Sealed | Projected, output: Output) -> None:
         )
 
 
-def _foresee(log: Log, location: str, before: datetime, output: Output) -> None:
+def _foresee(log: Log, name: str, before: datetime, output: Output) -> None:
     found = outlook(log, before)
     values = {
-        "to": location,
+        "to": name,
         "first_position": found.first_position,
         "last_position": found.last_position,
         "segments": found.segments,
@@ -170,7 +175,7 @@ def _foresee(log: Log, location: str, before: datetime, output: Output) -> None:
     }
     text = (
         f"would seal positions {found.first_position} to {found.last_position}: {found.events} events in "
-        f"{found.segments} segments, {found.payload_bytes} bytes, at {location}"
+        f"{found.segments} segments, {found.payload_bytes} bytes, at {name}"
     )
     output.result(values, text if found.segments else _nothing(log, before))
 
@@ -181,7 +186,7 @@ def _status(log: Log) -> dict[str, Any]:
     ((hot,),) = _rows(log, "select count(*) from segments")
     ((skipped,),) = _rows(log, "select coalesce(sum(segments_skipped), 0)::bigint from archive_projections")
     return {
-        "location": head.location,
+        "location": _name(log, head.location),
         "sealed_position": head.sealed_position,
         "position": log.head(),
         "files": len(files),
@@ -195,6 +200,12 @@ def _status(log: Log) -> dict[str, Any]:
         "segments_without_parquet": skipped,
         "interrupted": head.pending_path,
     }
+
+
+def _name(log: Log, location: str) -> str:
+    """The archive's place as people would say it; the default as it is where there is no folder to start from."""
+    is_whole = log.server is not None or "://" in location or Path(location).is_absolute()
+    return archiving.place_of(log, location).name if is_whole else location
 
 
 def _lines(found: dict[str, Any]) -> list[str]:
