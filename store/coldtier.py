@@ -25,6 +25,8 @@ Rows = Callable[[str, Mapping[str, Any]], list[tuple[Any, ...]]]
 GROUPS_KEPT = 4
 """Row groups kept in memory: one for each of the readers that a server has."""
 FILES_KEPT = 16
+FILES_AT_A_TIME = 16
+"""Files looked up in the index at a time."""
 _ANY = Filter()
 _EVERYWHERE = (1, 2**63 - 1)
 
@@ -71,8 +73,10 @@ class ColdTier:
             self._place = Place(location, self._data_dir)
         return self._place
 
-    def files(self, first: int = 1, last: int = _EVERYWHERE[1], chosen: Filter = _ANY) -> list[SealedFile]:
-        """The files that may hold wanted segments between two positions, in order."""
+    def files(
+        self, first: int = 1, last: int = _EVERYWHERE[1], chosen: Filter = _ANY, limit: int | None = None
+    ) -> list[SealedFile]:
+        """The files, at most `limit`, that may hold wanted segments between two positions, in order."""
         return [
             SealedFile(*row)
             for row in self._rows(
@@ -84,7 +88,7 @@ class ColdTier:
                 "and (%(stations)s::text[] is null or s.station = any(%(stations)s::text[])) "
                 "and (%(since)s::timestamptz is null or r.time_max >= %(since)s::timestamptz) "
                 "and (%(until)s::timestamptz is null or r.time_min < %(until)s::timestamptz)) "
-                "order by f.first_position",
+                "order by f.first_position limit %(limit)s",
                 {
                     "first": first,
                     "last": last,
@@ -93,6 +97,7 @@ class ColdTier:
                     "stations": _list(chosen.stations),
                     "since": chosen.since,
                     "until": chosen.until,
+                    "limit": limit,
                 },
             )
         ]
@@ -105,11 +110,13 @@ class ColdTier:
             ArchiveUnavailable: The archive cannot be reached.
         """
         found: list[Segment] = []
-        for file in self.files(first, last, chosen):
-            for segment in self._segments(file, (first, last), chosen, None):
-                found.append(segment)
-                if len(found) == limit:
-                    return found
+        while files := self.files(first, last, chosen, FILES_AT_A_TIME):
+            for file in files:
+                for segment in self._segments(file, (first, last), chosen, None):
+                    found.append(segment)
+                    if len(found) == limit:
+                        return found
+            first = files[-1].last_position + 1
         return found
 
     def changed_files(self, first: int = 1, last: int = _EVERYWHERE[1]) -> Iterator[SealedFileDamaged]:
@@ -154,16 +161,19 @@ class ColdTier:
             ChainBroken: One does not hold, or a file cannot be read there.
             ArchiveUnavailable: The archive cannot be reached.
         """
-        rows = self._rows(
-            f"select r.first_position, r.last_position, {_FILE_COLUMNS} from sealed_ranges r "
+        at = from_sequence
+        while rows := self._rows(
+            f"select r.first_position, r.last_position, r.last_sequence, {_FILE_COLUMNS} from sealed_ranges r "
             "join sealed_files f on f.first_position = r.file "
-            "where r.stream_id = %(stream)s and r.last_sequence between %(from)s and %(to)s order by r.first_sequence",
-            {"stream": stream_id, "from": from_sequence, "to": to_sequence},
-        )
-        for first, last, *file in rows:
-            for segment in self._segments(SealedFile(*file), (first, last), _ANY, stream):
-                if segment.header.last_sequence >= from_sequence:
-                    yield segment
+            "where r.stream_id = %(stream)s and r.last_sequence between %(at)s and %(to)s "
+            "order by r.first_sequence limit %(limit)s",
+            {"stream": stream_id, "at": at, "to": to_sequence, "limit": FILES_AT_A_TIME},
+        ):
+            for first, last, _, *file in rows:
+                for segment in self._segments(SealedFile(*file), (first, last), _ANY, stream):
+                    if segment.header.last_sequence >= from_sequence:
+                        yield segment
+            at = rows[-1][2] + 1
 
     def end_at(self, stream: Stream, at_position: int) -> End | None:
         """Where the stream stood when the log was at a sealed position; None if it was not there yet.

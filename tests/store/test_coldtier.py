@@ -88,6 +88,16 @@ def test_every_read_gives_the_same_wherever_the_segments_are(filled: Log, tmp_pa
     assert (verify(filled).segments, verify(filled).streams) == (12, 4)
 
 
+def test_every_read_goes_on_from_file_to_file_however_many(
+    filled: Log, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("FILES_AT_A_TIME", "FILES_KEPT", "GROUPS_KEPT"):
+        monkeypatch.setattr(coldtier, name, 1)
+    wanted = everything(filled)
+    seal_all(filled, tmp_path, file_bytes=1)
+    assert everything(filled) == wanted
+
+
 def test_another_handle_that_knows_nothing_of_the_sealing_reads_the_same(filled: Log, tmp_path: Path) -> None:
     wanted = list(filled.read_all())
     with Log(filled.dsn, filled.catalogue) as other:
