@@ -11,6 +11,7 @@ import pytest
 
 from events import Segment, StreamName
 from store import (
+    Appender,
     ArchiveUnavailable,
     ChainBroken,
     Log,
@@ -24,9 +25,9 @@ from store import (
 from store.reading import Filter
 from store.sealing import Sealer
 from tests.conftest import MakeLog
-from tests.store.samples import GATE, NOON, YARD, append, draft, on_both, query
+from tests.store.samples import GATE, NOON, PRODUCER, YARD, append, draft, on_both, points, query
 from tests.store.test_sealing import LATER
-from tests.store.tiered import seal_all
+from tests.store.tiered import seal_all, tiered
 
 ROOF = StreamName.of("plzen", "roof", "track_point")
 
@@ -295,4 +296,16 @@ def test_the_archive_may_lie_in_any_file_system_that_pyarrow_or_fsspec_knows(
     list(Sealer(log, url, file_bytes=1_500).seal(LATER))
     assert query(log, "select count(*) from segments") == [(0,)]
     assert everything(log) == wanted
+    assert verify(log).is_sound
+
+
+def test_an_appender_that_says_sealed_events_again_stores_nothing_twice(log: Log, tmp_path: Path) -> None:
+    tiered(log, tmp_path)
+    for _ in range(2):
+        appender = Appender(log, PRODUCER)
+        appender.resume_at(GATE, 0)
+        for first in (1, 3, 5):
+            appender.append([(GATE, points(first, first + 1))])
+    assert [segment.header.first_sequence for segment in log.read(GATE)] == [1, 3, 5]
+    assert query(log, "select count(*) from segments") == [(0,)]
     assert verify(log).is_sound

@@ -1,5 +1,6 @@
 """A log whose every segment is sealed as soon as it was appended: what holds for a log must hold for this one."""
 
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
@@ -20,16 +21,19 @@ class TieredLog(Log):
     """Seals what each transaction appended, when it has committed."""
 
     folder: Path
+    lock: threading.Lock
 
     @contextmanager
     def transaction(self) -> Iterator[Transaction]:
         with super().transaction() as transaction:
             yield transaction
-        seal_all(self, self.folder)
+        with self.lock:
+            seal_all(self, self.folder)
 
 
-def tiered(log: Log, folder: Path) -> TieredLog:
-    """Another handle on the log, that seals."""
-    handle = TieredLog(log.dsn, log.catalogue)
-    handle.folder = folder
-    return handle
+def tiered(log: Log, folder: Path) -> Log:
+    """The same handle on the log, which seals from now on."""
+    log.__class__ = TieredLog
+    assert isinstance(log, TieredLog)
+    log.folder, log.lock = folder, threading.Lock()
+    return log
