@@ -18,6 +18,7 @@ from store.errors import (
 )
 from store.log import Appended, Checkpoint, Log, StreamHead, Transaction, open_log
 from store.projector import Projector
+from store.sealing import Sealer
 from store.subscription import Delivery, Subscription
 from store.verification import Verification, verify
 
@@ -34,6 +35,7 @@ __all__ = [
     "Projector",
     "SchemaMismatch",
     "SealedFileDamaged",
+    "Sealer",
     "SequenceConflict",
     "StoreError",
     "StreamHead",

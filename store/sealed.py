@@ -35,6 +35,7 @@ from store.reading import Filter
 FORMAT = "VIANSEAL1"
 GROUP_BYTES_MAX = 8 * 1024 * 1024
 GROUP_SEGMENTS_MAX = 2_000
+_NEXT = "Next: bring it back from a copy, then vian verify"
 UNKNOWN = StreamName.of("unknown", "unknown", "unknown")
 
 _TIMESTAMP = pa.timestamp("us", tz="UTC")
@@ -258,9 +259,7 @@ class SealedReader:
 
 def damaged(path: str, first: int, last: int, reason: str) -> SealedFileDamaged:
     """The error for a range of a sealed file that cannot be had."""
-    return SealedFileDamaged(
-        UNKNOWN, first, 0, f"the sealed file {path} {reason}. Next: bring it back from a copy, then vian verify", last
-    )
+    return SealedFileDamaged(UNKNOWN, first, 0, f"the sealed file {path} {reason}. {_NEXT}", last)
 
 
 def rows_of(table: pa.Table, first: int, wanted: tuple[int, int], chosen: Filter, stream: Stream | None) -> list[int]:
@@ -317,13 +316,14 @@ def _segment(place: int, values: Sequence[Any], path: str) -> Segment:
     try:
         header = parse_header(header_raw)
     except EventError as error:
-        raise ChainBroken(UNKNOWN, place, 0, f"in the sealed file {path}: {error}") from error
+        raise ChainBroken(UNKNOWN, place, 0, f"in the sealed file {path}: {error}. {_NEXT}") from error
     if position != place:
-        raise ChainBroken(
-            header.stream, place, header.first_sequence, f"in the sealed file {path} it has the position {position}"
-        )
+        reason = f"in the sealed file {path} it has the position {position}. {_NEXT}"
+        raise ChainBroken(header.stream, place, header.first_sequence, reason)
     found = hashlib.sha256(payload).digest()
     if found != payload_hash:
-        reason = f"in the sealed file {path} the payload's hash is {found.hex()}, recorded was {payload_hash.hex()}"
+        reason = (
+            f"in the sealed file {path} the payload's hash is {found.hex()}, recorded was {payload_hash.hex()}. {_NEXT}"
+        )
         raise ChainBroken(header.stream, place, header.first_sequence, reason)
     return Segment(header, payload, payload_hash, chain_hash, Position(position), recorded_at.astimezone(UTC))
