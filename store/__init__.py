@@ -16,11 +16,14 @@ from store.errors import (
     StoreError,
     WrongMajor,
 )
-from store.log import Appended, Checkpoint, Log, StreamHead, Transaction, open_log
+from store.journal import Journal
+from store.log import Checkpoint, Log, StreamHead, Transaction, open_log
 from store.projector import Projector
 from store.sealing import Sealer
+from store.shared import SharedAppender, Stored
 from store.subscription import Delivery, Subscription
 from store.verification import Verification, verify
+from store.writing import Appended
 
 __all__ = [
     "Appended",
@@ -30,6 +33,7 @@ __all__ = [
     "ChainBroken",
     "Checkpoint",
     "Delivery",
+    "Journal",
     "Log",
     "LogUnavailable",
     "Projector",
@@ -37,7 +41,9 @@ __all__ = [
     "SealedFileDamaged",
     "Sealer",
     "SequenceConflict",
+    "SharedAppender",
     "StoreError",
+    "Stored",
     "StreamHead",
     "Subscription",
     "Transaction",

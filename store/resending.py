@@ -5,12 +5,13 @@ Contract: pure; the append function in the database cannot read files, so its cl
 
 from events import Draft, Segment
 from store.errors import ChainBroken, SequenceConflict
+from store.writing import Appended
 
 
 def acknowledged(
     draft: Draft, first_sequence: int, head: int, stored: Segment | None, chain_hash: bytes | None
-) -> tuple[int, int, bytes, bool]:
-    """Position, first sequence and chain hash of the original, and that it was there.
+) -> Appended:
+    """Where the original stands.
 
     Args:
         draft: What was sent again.
@@ -36,4 +37,4 @@ def acknowledged(
         )
     if chain_hash is not None and chain_hash != stored.chain_hash:
         raise ChainBroken(draft.stream, None, first_sequence, "the chain hash differs from the one that was sent")
-    return stored.position, first_sequence, stored.chain_hash, True
+    return Appended(stored.position, first_sequence, stored.chain_hash, was_there=True)

@@ -10,7 +10,7 @@ from alembic import op
 from sqlalchemy.dialects import postgresql as pg
 
 revision = "0006"
-down_revision = "0002"
+down_revision = "0003"
 branch_labels = None
 depends_on = None
 
@@ -100,8 +100,9 @@ def upgrade() -> None:
         comment="Which sealed files have their decoded events in Parquet beside them.",
     )
     _set_path()
-    for name in ("refuse_removal", *_FUNCTIONS, "append_segments"):
+    for name in ("refuse_removal", *_FUNCTIONS):
         op.execute(_sql(name))
+    _replace_append("0006")
     op.execute("drop trigger segments_no_update on segments")
     _refuse("segments", "update", "refuse_change")
     _refuse("segments", "delete", "refuse_removal")
@@ -124,12 +125,19 @@ def downgrade() -> None:
     op.execute("drop trigger segments_no_delete on segments")
     _refuse("segments", "update or delete", "refuse_change")
     _set_path()
-    op.execute(_sql("append_segments", "0001").replace("create function", "create or replace function", 1))
+    _replace_append("0003")
     for name in (*_FUNCTIONS, "refuse_removal"):
         op.execute(f"drop function {name}")
     for table in reversed(_TABLES):
         op.drop_table(table)
     op.execute("revoke select on log_head, streams, segments from vian_archiver")
+
+
+def _replace_append(of: str) -> None:
+    op.execute("drop function append_segments")
+    op.execute(_sql("append_segments", of))
+    op.execute("revoke execute on function append_segments from public")
+    op.execute("grant execute on function append_segments to vian_writer")
 
 
 def _set_path() -> None:

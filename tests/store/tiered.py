@@ -5,8 +5,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from typing import Any
 
-from store import Log, Transaction
+from store import Appended, Log, Transaction
 from store.sealing import Sealer
 
 
@@ -29,6 +30,12 @@ class TieredLog(Log):
             yield transaction
         with self.lock:
             seal_all(self, self.folder)
+
+    def append(self, *given: Any, **more: Any) -> list[Appended]:
+        appended = super().append(*given, **more)
+        with self.lock:
+            seal_all(self, self.folder)
+        return appended
 
 
 def tiered(log: Log, folder: Path) -> Log:
