@@ -149,6 +149,20 @@ def test_an_archive_that_is_away_is_told_with_the_next_command(filled: Log, run:
         assert f"the archive of sealed files is not at {tmp_path / 'a'}. Next: mount or bring back" in ran.words
 
 
+def test_doctor_looks_after_the_sealed_files(filled: Log, run: Run, tmp_path: Path) -> None:
+    def finding() -> list[str]:
+        return [line for line in run("doctor", "--dsn", filled.dsn).out.splitlines() if "archive: " in line]
+
+    assert finding() == []
+    run("archive", "--older-than", "0d", "--to", tmp_path / "a", "--dsn", filled.dsn)
+    assert finding() == [f"ok    archive: 1 sealed files at {tmp_path / 'a'}"]
+    (file,) = (tmp_path / "a" / "_sealed").iterdir()
+    file.write_bytes(file.read_bytes()[:-1])
+    assert finding()[0].startswith(f"bad   archive: 1 of 1 sealed files are missing or cut off, first {file}. Next: ")
+    shutil.rmtree(tmp_path / "a")
+    assert finding()[0].startswith(f"bad   archive: the archive of sealed files is not at {tmp_path / 'a'}. Next: ")
+
+
 @pytest.mark.parametrize(
     "arguments, said",
     [
