@@ -14,11 +14,22 @@ from typing import Any
 
 import pyarrow as pa
 
-from events import Segment
+from events import Segment, StreamName
 from store.errors import ChainBroken, SealedFileDamaged
 from store.places import Place
 from store.reading import Filter
-from store.sealed import End, SealedFile, SealedReader, Stream, damaged, rows_of, segments_of
+from store.sealed import (
+    UNKNOWN,
+    End,
+    Range,
+    SealedFile,
+    SealedReader,
+    Stream,
+    contents_of,
+    damaged,
+    rows_of,
+    segments_of,
+)
 
 Rows = Callable[[str, Mapping[str, Any]], list[tuple[Any, ...]]]
 
@@ -120,9 +131,9 @@ class ColdTier:
         return found
 
     def changed_files(self, first: int = 1, last: int = _EVERYWHERE[1]) -> Iterator[SealedFileDamaged]:
-        """What is wrong with each file that is not, to the byte, the one that was sealed.
+        """What is wrong with each file that is not, to the byte, the one that was sealed, or is not as the index says.
 
-        This covers what no chain does: the file's own structure, the columns for looking up, `recorded_at`.
+        This covers what no chain does: the file's own structure, the columns for looking up, `recorded_at`, the index.
 
         Raises:
             ArchiveUnavailable: The archive cannot be reached.
@@ -138,6 +149,32 @@ class ColdTier:
             if (sha256, size) != (file.sha256, file.bytes):
                 reason = f"has changed: its SHA-256 is {sha256.hex()}, sealed was {file.sha256.hex()}"
                 yield damaged(path, file.first_position, file.last_position, reason)
+            elif (strange := self._misindexed(file)) is not None:
+                yield SealedFileDamaged(UNKNOWN, file.first_position, 0, strange, file.last_position)
+
+    def _misindexed(self, file: SealedFile) -> str | None:
+        """How the index differs from a file that is as it was sealed; None where it does not."""
+        place = self.place()
+        with place.open(file.path) as source:
+            held = contents_of(source)
+        indexed = {
+            Range((StreamName.of(station, source, type_), epoch), *rest)
+            for station, source, type_, epoch, *rest in self._rows(
+                "select s.station, s.source, s.type, s.epoch, r.first_sequence, r.last_sequence, r.first_position, "
+                "r.last_position, r.time_min, r.time_max, r.chain_hash from sealed_ranges r "
+                "join streams s on s.id = r.stream_id where r.file = %(file)s",
+                {"file": file.first_position},
+            )
+        }
+        first, last = file.first_position, file.last_position
+        totals = (first, last, file.segments, file.events, file.time_min, file.time_max)
+        if (indexed, totals) == (held.ranges, held.totals):
+            return None
+        streams = sorted({str(each.stream[0]) for each in indexed ^ held.ranges}) or ["its totals"]
+        return (
+            f"the index says otherwise of the sealed file {place.full(file.path)} than it holds: {', '.join(streams)}. "
+            "Next: keep this database as it is, and restore it from a backup"
+        )
 
     def of_file(self, file: SealedFile) -> Iterator[Segment]:
         """All segments of a file, in order.

@@ -164,7 +164,7 @@ class Log:
             configure=self._configure,
             open=False,
         )
-        self.archive = ColdTier(self._rows, server.data_dir if server else None)
+        self.archive = ColdTier(self._fetched, server.data_dir if server else None)
         self._sealed_position = 0
         """As far as is known; it only grows."""
         self._pool.open()
@@ -423,7 +423,7 @@ class Log:
         return [segment_of(row) for row in self._fetched(query, parameters)]
 
     def _fetched(self, query: str, parameters: Mapping[str, Any]) -> list[tuple[Any, ...]]:
-        """The rows that a query of `store.reading` finds."""
+        """The rows that a query finds; None for a time that Python does not know."""
         with self.connection() as connection:
             try:
                 return connection.execute(query, parameters, binary=True).fetchall()

@@ -92,6 +92,29 @@ class End:
     chain_hash: bytes
 
 
+@dataclass(frozen=True, slots=True)
+class Range:
+    """What a sealed file holds of one stream."""
+
+    stream: Stream
+    first_sequence: int
+    last_sequence: int
+    first_position: int
+    last_position: int
+    time_min: datetime
+    time_max: datetime
+    chain_hash: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Contents:
+    """What a sealed file holds, by its columns for looking up."""
+
+    ranges: set[Range]
+    totals: tuple[int, int, int, int, datetime, datetime]
+    """First and last position, segments, events, earliest and latest time."""
+
+
 class Chains:
     """Follows the chains of all streams from segment to segment, and refuses one that does not follow."""
 
@@ -255,6 +278,26 @@ class SealedReader:
 
     def _damaged(self, first: int, last: int, reason: object) -> SealedFileDamaged:
         return damaged(self.path, first, last, f"cannot be read: {reason}")
+
+
+def contents_of(file: pa.NativeFile) -> Contents:
+    """What a file that is as it was sealed holds, without its payloads."""
+    table = pq.read_table(file, columns=[*_LOOKED_UP, "chain_hash"])
+    last = pc.subtract(pc.add(table.column("first_sequence"), pc.cast(table.column("event_count"), pa.int64())), 1)
+    table = table.append_column("last_sequence", last)
+    wanted = [("first_sequence", "min"), ("last_sequence", "max"), ("position", "min"), ("position", "max")]
+    wanted += [("time_min", "min"), ("time_max", "max")]
+    # Without threads the last of a group is the last of the file, which is in order of position.
+    groups = table.group_by([*_NAMES, "epoch"], use_threads=False).aggregate([*wanted, ("chain_hash", "last")])
+    names = [*_NAMES, "epoch", *(f"{name}_{kind}" for name, kind in wanted), "chain_hash_last"]
+    rows = zip(*(groups.column(name).to_pylist() for name in names), strict=True)
+    position = pc.min_max(table.column("position")).as_py()
+    events = pc.sum(table.column("event_count")).as_py()
+    span = (pc.min(table.column("time_min")).as_py(), pc.max(table.column("time_max")).as_py())
+    ranges = {
+        Range((StreamName.of(station, source, type_), epoch), *rest) for station, source, type_, epoch, *rest in rows
+    }
+    return Contents(ranges, (position["min"], position["max"], table.num_rows, events, *span))
 
 
 def damaged(path: str, first: int, last: int, reason: str) -> SealedFileDamaged:

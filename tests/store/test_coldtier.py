@@ -25,7 +25,7 @@ from store import (
 from store.reading import Filter
 from store.sealing import Sealer
 from tests.conftest import MakeLog
-from tests.store.samples import GATE, NOON, PRODUCER, YARD, append, draft, on_both, points, query
+from tests.store.samples import GATE, NOON, PRODUCER, YARD, append, draft, on_both, owner, points, query
 from tests.store.test_sealing import LATER
 from tests.store.tiered import seal_all, tiered
 
@@ -281,6 +281,38 @@ def test_an_archive_that_is_away_is_told_and_can_come_back(filled: Log, sealed: 
         assert [segment.position for segment in log.read_all(13)] == [13]
         shutil.move(moved, sealed)
         assert len(list(log.read_all())) == 13
+
+
+CHANGES = {
+    "sealed_ranges": [
+        "first_sequence = first_sequence + 1", "last_sequence = last_sequence + 1", "last_position = last_position - 1",
+        "first_position = first_position + 1", "time_min = time_min - interval '1 us'", "time_max = 'infinity'",
+        "chain_hash = set_byte(chain_hash, 5, get_byte(chain_hash, 5) # 1)",
+    ],
+    "sealed_files": [
+        "segments = segments + 1", "events = events + 1", "time_min = time_min - interval '1 us'", "bytes = bytes + 1",
+        "sha256 = set_byte(sha256, 5, get_byte(sha256, 5) # 1)", "last_position = last_position + 1", "path = 'x'",
+    ],
+}  # fmt: skip
+
+
+def test_a_changed_index_is_found_and_the_file_named(filled: Log, sealed: Path) -> None:
+    with owner(filled) as connection, fresh(filled) as log:
+        for table, changes in CHANGES.items():
+            connection.execute(f"alter table {table} disable trigger user")
+            key = "file" if table == "sealed_ranges" else "first_position"
+            for change in changes:
+                connection.execute(f"create table saved as select * from {table}")
+                last = "(select max(first_position) from sealed_files)"
+                connection.execute(f"update {table} set {change} where {key} = {last}")
+                found = verify(log)
+                ((first,),) = connection.execute(f"select {last}").fetchall()
+                assert any((fault.position or 0) >= first for fault in found.broken), (change, found.broken)
+                connection.execute(f"alter table {table} disable trigger all")
+                connection.execute(f"delete from {table}")
+                connection.execute(f"insert into {table} select * from saved")
+                connection.execute("drop table saved")
+        assert verify(log).is_sound
 
 
 # Other places.
