@@ -30,6 +30,7 @@ MODULES = {
     "project": "log",
     "psql": "log",
     "verify": "log",
+    "events": "events",
     "sync": "sync",
     "serve": "serve",
     "doctor": "doctor",

@@ -45,7 +45,7 @@ READERS = [
 def test_the_commands_are_those_that_there_should_be() -> None:
     assert {" ".join(path) for path in ALL} == {
         "archive", "archive project", "archive relocate", "archive status",
-        "demo", "doctor", "extract motion", "project", "psql", "query", "rules check", "rules run", "serve",
+        "demo", "doctor", "events", "extract motion", "project", "psql", "query", "rules check", "rules run", "serve",
         "station add", "streams", "sync", "tail", "verify",
     }  # fmt: skip
 
@@ -65,7 +65,9 @@ def test_every_option_is_explained(path: tuple[str, ...]) -> None:
 
 
 @pytest.mark.parametrize(
-    "path", [path for path in ALL if path[0] not in ("rules", "station") or path[1] == "run"], ids=" ".join
+    "path",
+    [path for path in ALL if path[0] not in ("rules", "station", "events") or path[1:] == ("run",)],
+    ids=" ".join,
 )
 def test_every_command_takes_an_embedded_or_an_external_log(path: tuple[str, ...]) -> None:
     options = {option for parameter in ALL[path].params for option in parameter.opts}
