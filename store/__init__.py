@@ -6,10 +6,12 @@ checkpoints and verify are its methods. Rows for SQL are projections of segments
 
 from store.appender import Appender
 from store.errors import (
+    ArchiveUnavailable,
     BadRequest,
     ChainBroken,
     LogUnavailable,
     SchemaMismatch,
+    SealedFileDamaged,
     SequenceConflict,
     StoreError,
     TableBusy,
@@ -18,6 +20,7 @@ from store.errors import (
 from store.journal import Journal
 from store.log import Checkpoint, Log, StreamHead, Transaction, open_log
 from store.projector import Projector
+from store.sealing import Sealer
 from store.shared import SharedAppender, Stored
 from store.subscription import Delivery, Subscription
 from store.upkeep import RowPolicy, RowTable, Upkeep, maintain, row_tables
@@ -27,6 +30,7 @@ from store.writing import Appended
 __all__ = [
     "Appended",
     "Appender",
+    "ArchiveUnavailable",
     "BadRequest",
     "ChainBroken",
     "Checkpoint",
@@ -38,6 +42,8 @@ __all__ = [
     "RowPolicy",
     "RowTable",
     "SchemaMismatch",
+    "SealedFileDamaged",
+    "Sealer",
     "SequenceConflict",
     "SharedAppender",
     "StoreError",

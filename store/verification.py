@@ -3,7 +3,8 @@
 Contract: `verify` reads; it changes nothing. It finds a changed payload, a changed header, a
 missing, doubled or reordered segment, and a head that does not belong to its stream, and names the
 first bad position of each stream. It needs no knowledge of event types. `position` and `recorded_at`
-are local to a log and not hashed: that two streams' segments changed places is not found.
+are local to a log and not hashed: that two streams' segments changed places is not found, unless they are sealed:
+a sealed file is compared to the byte with what was sealed.
 """
 
 import hashlib
@@ -11,7 +12,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 from events import GENESIS, Segment, StreamName, chain
-from store.errors import ChainBroken
+from store.errors import ChainBroken, SealedFileDamaged
 from store.log import Log, StreamHead
 
 _UNKNOWN = StreamName.of("unknown", "unknown", "unknown")
@@ -53,6 +54,8 @@ class _Progress:
     missed: set[int] = field(default_factory=set)
     """The holes that a stream misses."""
     broken: dict[StreamName, ChainBroken] = field(default_factory=dict)
+    damaged: list[SealedFileDamaged] = field(default_factory=list)
+    """Parts of sealed files that cannot be read."""
 
 
 def verify(log: Log, on_segment: Callable[[Segment], None] | None = None) -> Verification:
@@ -67,7 +70,10 @@ def verify(log: Log, on_segment: Callable[[Segment], None] | None = None) -> Ver
     for found in _read(log, 1, end):
         if isinstance(found, ChainBroken):
             _go_to(found.position or 0, progress)
-            progress.broken.setdefault(found.stream, found)
+            if isinstance(found, SealedFileDamaged):
+                _pass_over(found, progress)
+            else:
+                progress.broken.setdefault(found.stream, found)
             continue
         _go_to(found.position, progress)
         _check(found, progress)
@@ -77,7 +83,9 @@ def verify(log: Log, on_segment: Callable[[Segment], None] | None = None) -> Ver
     for head in heads:
         _check_head(head, progress)
     unclaimed = [_hole(first, last) for first, last in progress.holes.items() if first not in progress.missed]
-    broken = sorted([*progress.broken.values(), *unclaimed], key=lambda fault: fault.position or end + 1)
+    faults = [*progress.broken.values(), *progress.damaged, *unclaimed]
+    faults += _changed_files(log, progress.damaged)
+    broken = sorted(faults, key=lambda fault: fault.position or end + 1)
     return Verification(progress.segments, progress.events, len(progress.streams), end, broken)
 
 
@@ -94,13 +102,31 @@ def _read(log: Log, first: int, last: int) -> Iterator[Segment | ChainBroken]:
         assert unreadable.position is not None, "what was read has a position"
         yield from _read(log, first, unreadable.position - 1)
         yield unreadable
-        first = unreadable.position + 1
+        first = (unreadable.last_position if isinstance(unreadable, SealedFileDamaged) else unreadable.position) + 1
 
 
 def _go_to(position: int, progress: _Progress) -> None:
     if position > progress.position + 1:
         progress.holes[progress.position + 1] = position - 1
     progress.position = position
+
+
+def _pass_over(damage: SealedFileDamaged, progress: _Progress) -> None:
+    """Go on behind a range that cannot be read; the streams that miss something of it say so too."""
+    assert damage.position is not None, "a part of a file has a first position"
+    progress.damaged.append(damage)
+    progress.holes[damage.position] = progress.position = damage.last_position
+    progress.missed.add(damage.position)
+
+
+def _changed_files(log: Log, damaged: list[SealedFileDamaged]) -> list[SealedFileDamaged]:
+    """The sealed files that differ from what was sealed, but for those that are told of already."""
+    told = [damage.position or 0 for damage in damaged]
+    return [
+        changed
+        for changed in log.archive.changed_files()
+        if not any((changed.position or 0) <= position <= changed.last_position for position in told)
+    ]
 
 
 def _check(segment: Segment, progress: _Progress) -> None:

@@ -37,6 +37,7 @@ MODULES = {
     "extract": "extract",
     "rules": "rules",
     "station": "station",
+    "archive": "archive",
 }
 """Each command or group of commands, in the order of the help, and the module of `vian.commands` that has it."""
 

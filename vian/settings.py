@@ -70,6 +70,12 @@ class Settings(BaseSettings):
     """central server: TOML file with the stations that may replicate, `name = "SHA-256 of its token"`"""
     plan: HomePath | None = None
     """YAML file of the sync plan: which streams, in which order"""
+    archive: str | None = None
+    """folder or URL that `vian archive` seals to; by default `archive` in the folder of the embedded log"""
+    archive_after_days: Annotated[float, Field(ge=0)] = 30.0
+    """how long a segment stays in PostgreSQL before `vian archive` seals it, in days"""
+    archive_file_mb: Annotated[int, Field(ge=1)] = 64
+    """about how large a sealed file becomes, in MB"""
     database_wait_s: Annotated[float, Field(ge=0)] = 60.0
     """how long an append waits for a database that is away, in seconds"""
 

@@ -20,7 +20,7 @@ from vian.version import VERSION
 
 
 def commands(group: Any = None, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
-    """All commands with their path, groups left out."""
+    """All commands with their path, groups that do nothing by themselves left out."""
     for name, command in (group or typer.main.get_command(cli.app)).commands.items():
         if getattr(command, "invoke_without_command", False):
             yield (*path, name), command
@@ -44,6 +44,7 @@ READERS = [
 
 def test_the_commands_are_those_that_there_should_be() -> None:
     assert {" ".join(path) for path in ALL} == {
+        "archive", "archive project", "archive relocate", "archive status",
         "demo", "doctor", "events", "extract motion", "project", "project maintain", "project rebuild",
         "project status", "psql", "query", "rules check", "rules run", "serve",
         "station add", "streams", "sync", "tail", "verify",
