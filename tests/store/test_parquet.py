@@ -10,7 +10,7 @@ import duckdb
 import pytest
 
 from events import SHIPPED, Catalogue, StreamName, TrackPoint, batch_of, encode, schema_of
-from store import Log, decoded
+from store import Log, parquet
 from store.parquet import project, waiting
 from tests.conftest import MakeLog
 from tests.events.plugged import VehicleWeighed
@@ -115,8 +115,8 @@ def test_a_type_that_is_unknown_here_leaves_the_sealed_file_complete_and_is_told
 
 
 def test_many_files_are_written_few_at_a_time(log: Log, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(decoded, "FILES_OPEN_MAX", 2)
-    monkeypatch.setattr(decoded, "ROWS_KEPT_MAX", 3)
+    monkeypatch.setattr(parquet, "FILES_OPEN_MAX", 2)
+    monkeypatch.setattr(parquet, "ROWS_KEPT_MAX", 3)
     for _ in range(2):
         for station in ("a", "b", "c", "d", "e"):
             append(log, StreamName.of(station, "gate", "track_point"), 2)
