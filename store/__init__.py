@@ -5,7 +5,9 @@ checkpoints and verify are its methods. Rows for SQL are projections of segments
 """
 
 from store.appender import Appender
+from store.audit import Covered
 from store.errors import (
+    BadProof,
     BadRequest,
     ChainBroken,
     LogUnavailable,
@@ -14,29 +16,44 @@ from store.errors import (
     StoreError,
     WrongMajor,
 )
+from store.keys import StationKey, known_keys, load_key, make_key
 from store.log import Appended, Checkpoint, Log, StreamHead, Transaction, open_log
 from store.projector import Projector
+from store.proof import SignedCheckpoint, Statement, key_id
+from store.signing import Signer
 from store.subscription import Delivery, Subscription
 from store.verification import Verification, verify
+from store.verified import Verified
 
 __all__ = [
     "Appended",
     "Appender",
+    "BadProof",
     "BadRequest",
     "ChainBroken",
     "Checkpoint",
+    "Covered",
     "Delivery",
     "Log",
     "LogUnavailable",
     "Projector",
     "SchemaMismatch",
     "SequenceConflict",
+    "SignedCheckpoint",
+    "Signer",
+    "Statement",
+    "StationKey",
     "StoreError",
     "StreamHead",
     "Subscription",
     "Transaction",
     "Verification",
+    "Verified",
     "WrongMajor",
+    "key_id",
+    "known_keys",
+    "load_key",
+    "make_key",
     "open_log",
     "verify",
 ]

@@ -6,6 +6,7 @@ StoreError
 ├── SchemaMismatch       the database's schema is newer than this program, or not ours
 ├── SequenceConflict     a stream does not stand where the writer expected
 ├── ChainBroken          stored or received bytes do not carry the hash that they should
+├── BadProof             a key, a signed checkpoint or a saved verification is not what it must be
 └── BadRequest           a call asked for what the log does not do
 """
 
@@ -28,6 +29,10 @@ class WrongMajor(LogUnavailable):
 
 class SchemaMismatch(StoreError):
     """The database's schema is newer than this program, or not ours."""
+
+
+class BadProof(StoreError):
+    """A key, a signed checkpoint or a saved verification is not what it must be."""
 
 
 class BadRequest(StoreError):
