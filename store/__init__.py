@@ -16,7 +16,7 @@ from store.errors import (
     StoreError,
     WrongMajor,
 )
-from store.keys import StationKey, known_keys, load_key, make_key
+from store.keys import StationKey, keys_of_others, known_keys, load_key, make_key
 from store.log import Appended, Checkpoint, Log, StreamHead, Transaction, open_log
 from store.projector import Projector
 from store.proof import SignedCheckpoint, Statement, key_id
@@ -51,6 +51,7 @@ __all__ = [
     "Verified",
     "WrongMajor",
     "key_id",
+    "keys_of_others",
     "known_keys",
     "load_key",
     "make_key",

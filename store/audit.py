@@ -101,7 +101,7 @@ class Audit:
         self._end = end
         self._trusted = trusted
         self.trails = dict(trails)
-        self._own = own_station(heads, station)
+        self._own = station
         self._signing = {head.stream.station for head in heads if _is_checkpoints(head.stream)}
         self._recent: dict[Place, deque[tuple[int, bytes]]] = {}
         self._awaited: dict[Place, dict[int, tuple[bytes, SignedCheckpoint]]] = {}
@@ -295,14 +295,6 @@ class Audit:
         if trail.key == NO_KEY:
             return f"it is signed by key {name}, which is not among this station's: {', '.join(sorted(self._trusted))}"
         return f"it is signed by key {name}, which key {key_id(trail.key)} did not name as its successor"
-
-
-def own_station(heads: list[StreamHead], station: str | None) -> str | None:
-    """The station whose log this is: the one named if it signs here, else the only one there is."""
-    if any(_is_checkpoints(head.stream) and head.stream.station == station for head in heads):
-        return station
-    stations = {str(head.stream.station) for head in heads}
-    return stations.pop() if len(stations) == 1 else None
 
 
 def checkpoints_in(segment: Segment, log: Log) -> list[SignedCheckpoint]:

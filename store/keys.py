@@ -2,8 +2,8 @@
 
 Contract: the private key is PEM (PKCS #8), without a password, mode 0600; a file that others may read
 is refused. Public keys, today's and former ones, lie as PEM in the folder `public-keys` beside it, named
-by key id, and are never removed: they are what a station's signatures are checked against. A key is
-replaced by its successor, which the old key signs (`store.signing.rotate`).
+by key id, and are never removed: they are what a station's signatures are checked against. Public keys of
+other stations may be put into `public-keys/others`. A key is replaced by its successor, which the old key signs.
 """
 
 import os
@@ -27,6 +27,7 @@ from store.proof import key_id
 
 MODE = 0o600
 FOLDER = "public-keys"
+OTHERS = "others"
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,21 +114,31 @@ def keep_public(path: Path, public_key: bytes) -> Path:
 
 
 def known_keys(path: Path) -> dict[str, bytes]:
-    """The raw public keys that are kept beside a station's key, by key id.
+    """The station's own public keys, kept beside its key in `path`: raw, by key id.
 
     Raises:
         BadProof: A file there is no public key, or bears another's name.
     """
-    known = {}
-    for kept in sorted((path.parent / FOLDER).glob("*.pem")):
-        try:
-            public = load_pem_public_key(kept.read_bytes())
-        except (ValueError, OSError) as error:
-            raise BadProof(f"{kept} is no public key: {error}. Next: remove it, or restore it from a copy") from error
-        if not isinstance(public, Ed25519PublicKey) or key_id(public.public_bytes_raw()) != kept.stem:
-            raise BadProof(f"{kept} does not hold the key that its name says. Next: restore it from a copy")
-        known[kept.stem] = public.public_bytes_raw()
-    return known
+    return dict(map(_kept, sorted((path.parent / FOLDER).glob("*.pem"))))
+
+
+def keys_of_others(path: Path) -> dict[str, bytes]:
+    """Public keys of other stations that were put beside the station's own: raw, by key id.
+
+    Raises:
+        BadProof: A file there is no public key, or bears another's name.
+    """
+    return dict(map(_kept, sorted((path.parent / FOLDER / OTHERS).glob("*.pem"))))
+
+
+def _kept(kept: Path) -> tuple[str, bytes]:
+    try:
+        public = load_pem_public_key(kept.read_bytes())
+    except (ValueError, OSError) as error:
+        raise BadProof(f"{kept} is no public key: {error}. Next: remove it, or restore it from a copy") from error
+    if not isinstance(public, Ed25519PublicKey) or key_id(public.public_bytes_raw()) != kept.stem:
+        raise BadProof(f"{kept} does not hold the key that its name says. Next: restore it from a copy")
+    return kept.stem, public.public_bytes_raw()
 
 
 def _write_new(path: Path, private: Ed25519PrivateKey) -> None:

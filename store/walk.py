@@ -1,8 +1,8 @@
 """One walk along the log from a position on: chains, order and holes, segment by segment.
 
 Contract: a `Walk` is given every segment in order of position, and says what is wrong with it; it
-asks the database for nothing. `pages` reads ahead in a thread of its own while the caller hashes, and
-holds two pages of about `PAGE_BYTES` at most.
+asks the database for nothing. `pages` reads large segments ahead, in a thread of its own, while the caller
+hashes, and holds two pages of about `PAGE_BYTES` at most.
 """
 
 import hashlib
@@ -20,7 +20,9 @@ from store.reading import Filter
 Place = tuple[StreamName, int]
 """A stream and its epoch."""
 
-PAGE_BYTES = 8 * 1024 * 1024
+PAGE_BYTES = 4 * 1024 * 1024
+_READ_AHEAD_BYTES = 100_000
+"""Mean payload from which a second thread pays: below, the threads spend more on each other than on hashing."""
 _PAGE_SEGMENTS_MAX = 500
 _PAGE_SEGMENTS_FIRST = 64
 _EVERYTHING = Filter()
@@ -147,23 +149,22 @@ def pages(log: Log, first: int, last: int) -> Iterator[list[Segment] | ChainBrok
         limit = _PAGE_SEGMENTS_FIRST
         ahead: Future[list[Segment]] | None = None
         while first <= last:
-            coming = ahead or reader.submit(log.page, first, last, _EVERYTHING, limit)
-            ahead = None
             try:
-                page = coming.result()
+                page = ahead.result() if ahead else log.page(first, last, _EVERYTHING, limit)
             except ChainBroken as broken:
                 if broken.position is None:
                     raise
                 yield from _readable(log, first, broken.position - 1)
                 yield broken
-                first = broken.position + 1
+                first, ahead = broken.position + 1, None
                 continue
             if not page:
                 return
             first = page[-1].position + 1
-            limit = _next_limit(page)
-            if first <= last:
-                ahead = reader.submit(log.page, first, last, _EVERYTHING, limit)
+            mean = sum(len(segment.payload) for segment in page) // len(page) + 1
+            limit = max(1, min(PAGE_BYTES // mean, _PAGE_SEGMENTS_MAX))
+            is_worth_it = mean >= _READ_AHEAD_BYTES and first <= last
+            ahead = reader.submit(log.page, first, last, _EVERYTHING, limit) if is_worth_it else None
             yield page
 
 
@@ -171,12 +172,6 @@ def _readable(log: Log, first: int, last: int) -> Iterator[list[Segment]]:
     """Pages before a segment that cannot be read; they can."""
     if first <= last:
         yield list(log.read_all(first, to_position=last))
-
-
-def _next_limit(page: list[Segment]) -> int:
-    """How many segments come to about `PAGE_BYTES`, judged by the last page."""
-    mean = sum(len(segment.payload) for segment in page) // len(page) + 1
-    return max(1, min(PAGE_BYTES // mean, _PAGE_SEGMENTS_MAX))
 
 
 def _hole(first: int, last: int) -> ChainBroken:

@@ -20,6 +20,7 @@ from vian.parts import Part, Parts, stepping
 from vian.replication import load_plan, station_daemon, sync_part
 from vian.rules import processor_part
 from vian.settings import Settings
+from vian.signatures import has_key, signing_part
 from vian.stations import read_grants, read_token
 
 STEP_SECONDS = 1.0
@@ -82,6 +83,8 @@ def serve(
 def _parts(stack: ExitStack, log: Log, settings: Settings, role: Role) -> list[Part]:
     projector = Projector(log)
     parts = [stepping("projector", lambda: projector.step(STEP_SECONDS), log, projector.close)]
+    if has_key(settings):
+        parts.append(signing_part(log, settings))
     if settings.rules is not None:
         parts.append(processor_part(log, settings.station, settings.rules))
     if role is Role.STATION and settings.central is not None:
