@@ -166,11 +166,16 @@ def _heads_json(statement: Statement) -> dict[str, Any]:
         "order_hash": statement.order_hash.hex(),
         "public_key": statement.public_key.hex(),
         "successor": statement.successor.hex(),
-        "streams": [
-            [h.stream.station, h.epoch, h.stream.source, h.stream.type, h.sequence, h.chain_hash.hex()]
-            for h in sorted(statement.heads, key=_by_name)
-        ],
+        "streams": head_rows(statement.heads),
     }
+
+
+def head_rows(heads: Iterable[StreamHead]) -> list[list[Any]]:
+    """The heads as JSON has them, in the order in which they are hashed."""
+    return [
+        [head.stream.station, head.epoch, head.stream.source, head.stream.type, head.sequence, head.chain_hash.hex()]
+        for head in sorted(heads, key=_by_name)
+    ]
 
 
 def _head(row: list[Any]) -> StreamHead:
