@@ -88,25 +88,35 @@ def rotate(log: Log, settings: Settings) -> tuple[SignedCheckpoint | None, Stati
 
 def signing_part(log: Log, settings: Settings) -> Part:
     """Signs the log every few minutes or segments, where events came."""
-    step = _Signing(log, settings, monotonic)
+    step = PeriodicSigner(log, settings, monotonic, lambda: threading.Event().wait(_PAUSE_SECONDS))
     return stepping("signer", step, log)
 
 
-class _Signing:
-    """One look a second whether a signature is due; a stretch of the log a call when it is."""
+class PeriodicSigner:
+    """One look whether a signature is due; a stretch of the log a call when it is."""
 
-    def __init__(self, log: Log, settings: Settings, clock: Callable[[], float]) -> None:
+    def __init__(self, log: Log, settings: Settings, clock: Callable[[], float], pause: Callable[[], object]) -> None:
+        """Build one that counts from now.
+
+        Args:
+            log: The log.
+            settings: How often to sign, and with which key.
+            clock: Seconds that never go back.
+            pause: Called before each look.
+        """
         self._log = log
         self._settings = settings
         self._clock = clock
+        self._pause = pause
         self._signer: Signer | None = None
         self._signed_at = clock()
         self._signed = log.head()
         self._is_due = False
 
     def __call__(self) -> None:
+        """Do one bounded thing."""
         if not self._is_due:
-            threading.Event().wait(_PAUSE_SECONDS)
+            self._pause()
             self._is_due = self._due()
             return
         try:

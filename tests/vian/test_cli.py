@@ -34,6 +34,7 @@ READERS = [
     ["tail"],
     ["query", "select 1"],
     ["verify"],
+    ["evidence", "export", "--situation", "3f9c2a71"],
     ["project"],
     ["psql"],
     ["sync", "--once", "--central", "http://x", "--token-file", "token"],
@@ -42,8 +43,8 @@ READERS = [
 
 def test_the_commands_are_those_that_there_should_be() -> None:
     assert {" ".join(path) for path in ALL} == {
-        "demo", "doctor", "extract motion", "project", "psql", "query", "rules check", "rules run", "serve",
-        "station add", "streams", "sync", "tail", "verify",
+        "demo", "doctor", "evidence export", "evidence verify", "extract motion", "init", "project", "psql", "query",
+        "rules check", "rules run", "serve", "sign", "station add", "streams", "sync", "tail", "verify",
     }  # fmt: skip
 
 
@@ -62,7 +63,9 @@ def test_every_option_is_explained(path: tuple[str, ...]) -> None:
 
 
 @pytest.mark.parametrize(
-    "path", [path for path in ALL if path[0] not in ("rules", "station") or path[1] == "run"], ids=" ".join
+    "path",
+    [path for path in ALL if path[0] not in ("rules", "station", "evidence") or path[1] in ("run", "export")],
+    ids=" ".join,
 )
 def test_every_command_takes_an_embedded_or_an_external_log(path: tuple[str, ...]) -> None:
     options = {option for parameter in ALL[path].params for option in parameter.opts}

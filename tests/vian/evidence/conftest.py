@@ -20,9 +20,11 @@ from events import (
     encode,
 )
 from store import Log, Signer, load_key, make_key
+from tests.vian.conftest import Run
 from tests.vian.samples import GATE, START, YARD, points
 
 SITUATION = "3f9c2a71" * 8
+Export = Callable[..., Path]
 VIDEO = "ab" * 32
 MOTION = Producer("motion", "1.0.0", bytes(range(32)))
 RULE = "rule: yard-dwell\nversion: 3\n"
@@ -98,3 +100,22 @@ def signed_log(log: Log, key_file: Path) -> Log:
     times = (START + timedelta(hours=hour) for hour in range(100))
     fill(log, Signer(log, "brno", lambda: load_key(key_file), lambda: next(times)).sign)
     return log
+
+
+@pytest.fixture
+def export(signed_log: Log, key_file: Path, tmp_path: Path, run: Run) -> Export:
+    """Exports from the signed log; the directory."""
+
+    def do(*arguments: object, name: str = "evidence") -> Path:
+        out = tmp_path / name
+        options = ("--dsn", signed_log.dsn, "--key-file", key_file, "--out", out, "--by", "officer", "--why", "case 12")
+        ran = run("evidence", "export", *arguments, *options)
+        assert ran.code == 0, ran.err
+        return out
+
+    return do
+
+
+@pytest.fixture
+def bundle(export: Export) -> Path:
+    return export("--situation", SITUATION[:8])

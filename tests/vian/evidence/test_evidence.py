@@ -15,30 +15,8 @@ import pytest
 from events import StreamName
 from store import Log, load_key
 from tests.vian.conftest import Ran, Run
-from tests.vian.evidence.conftest import RULE, SITUATION, VIDEO, fill, say, situation, track
+from tests.vian.evidence.conftest import RULE, SITUATION, VIDEO, Export, fill, say, situation, track
 from tests.vian.samples import GATE, YARD
-
-Export = Any
-
-
-@pytest.fixture
-def export(signed_log: Log, key_file: Path, tmp_path: Path, run: Run) -> Export:
-    """Exports from the signed log; the directory."""
-
-    def do(*arguments: object, name: str = "evidence") -> Path:
-        out = tmp_path / name
-        options = ("--dsn", signed_log.dsn, "--key-file", key_file, "--out", out, "--by", "officer", "--why", "case 12")
-        ran = run("evidence", "export", *arguments, *options)
-        assert ran.code == 0, ran.err
-        return out
-
-    return do
-
-
-@pytest.fixture
-def bundle(export: Export) -> Path:
-    out: Path = export("--situation", SITUATION[:8])
-    return out
 
 
 def manifest_of(directory: Path) -> dict[str, Any]:
