@@ -295,6 +295,29 @@ def test_a_first_key_that_the_station_does_not_know_is_found(log: Log, signer: S
     assert "which is not among this station's" in str(broken)
 
 
+# A station that was restored.
+
+
+def test_a_restored_log_signs_on_from_the_newest_checkpoint_that_it_has(
+    log: Log, signer: Signer, key_file: Path, make_log: Callable[[], Log]
+) -> None:
+    append(log, GATE, 1)
+    first = signed(signer)
+    with owner(log) as connection:
+        connection.execute("update log_head set epoch = 2")
+    restored = Log(log.dsn, log.catalogue)
+    append(restored, GATE, 3)
+    second = signed(signer_of(restored, key_file))
+    append(restored, GATE, 1)
+    third = signed(signer_of(restored, key_file))
+    restored.close()
+    assert (second.sequence, second.statement.epoch) == (1, 2)
+    assert second.statement.previous == statement_hash(first.statement)
+    assert third.statement.previous == statement_hash(second.statement)
+    found = verify(log, station="brno")
+    assert (found.broken, found.covered[0].checkpoints, found.covered[0].position) == ([], 3, 5)
+
+
 # Another log's checkpoints.
 
 

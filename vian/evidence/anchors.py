@@ -6,6 +6,7 @@ it. Between two checkpoints of the log's own station, the order of recording is 
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Self
 
 from events import CheckpointSigned, Segment, StreamName
 from store import Log, SignedCheckpoint, Statement
@@ -32,12 +33,14 @@ class Anchors:
 
     log: Log
     station: str
+    epoch: int
+    """life of that station's log"""
     _cache: dict[int, SignedCheckpoint] = field(default_factory=dict)
 
     def around(self, stream: StreamName, epoch: int, segments: Sequence[Segment]) -> Bracket:
         """The checkpoints around these segments of a stream, first to last."""
         first, last = segments[0].header.first_sequence, segments[-1].header.last_sequence
-        number = self.log.stream_head(self._stream, at_position=segments[0].position).sequence
+        number = self.log.stream_head(self._stream, epoch=self.epoch, at_position=segments[0].position).sequence
         start = self.at(number) if number else None
         while start is not None and head_of(start.statement, stream, epoch) >= first:
             start = self.at(start.sequence - 1) if start.sequence > 1 else None
@@ -52,6 +55,12 @@ class Anchors:
         assert found is not None, "asked for one that is there"
         return found
 
+    @classmethod
+    def of(cls, log: Log, station: str) -> Self:
+        """Those of the station's newest life; before it signed, of this log's own."""
+        lives = [head.epoch for head in log.streams() if head.stream == checkpoint_stream(station)]
+        return cls(log, station, max(lives, default=log.epoch))
+
     @property
     def _stream(self) -> StreamName:
         return checkpoint_stream(self.station)
@@ -63,12 +72,12 @@ class Anchors:
 
     def _read_from(self, sequence: int) -> None:
         """Read some checkpoints from one on."""
-        segment = next(self.log.read(self._stream, sequence, epoch=self.log.epoch), None)
+        segment = next(self.log.read(self._stream, sequence, epoch=self.epoch), None)
         if segment is None:
             return
         chosen = Filter(types=[CheckpointSigned.type_name], stations=[self.station])
         for each in self.log.page(segment.position, self.log.head(), chosen, _PAGE):
-            if each.header.epoch == self.log.epoch:
+            if each.header.epoch == self.epoch:
                 self._cache |= {found.sequence: found for found in checkpoints_in(each, self.log)}
 
 

@@ -114,7 +114,7 @@ class _Export:
         self._source = source
         self._selection = selection
         self._root = root
-        self._anchors = Anchors(source.log, source.signing) if source.signing is not None else None
+        self._anchors = Anchors.of(source.log, source.signing) if source.signing is not None else None
         self._checkpoints: dict[int, SignedCheckpoint] = {}
         self._orders: dict[str, dict[str, Any]] = {}
         self._counts = {"segments": 0, "withheld": 0, "events": 0}

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import duckdb
+import psycopg
 import pytest
 
 from events import StreamName
@@ -191,6 +192,21 @@ def test_a_log_that_another_station_signed_gives_evidence_too(
     (points, *_) = manifest_of(tmp_path / "central")["items"]
     assert (points["to_checkpoint"], points["order"]) == (4, None)
     assert "BAD" not in alone(tmp_path / "central").out
+
+
+def test_both_lives_of_a_restored_station_can_be_exported(
+    signed_log: Log, run: Run, tmp_path: Path, key_file: Path
+) -> None:
+    with psycopg.connect(signed_log.dsn) as owner:
+        owner.execute("update log_head set epoch = 2")
+    with Log(signed_log.dsn, signed_log.catalogue) as restored:
+        track(restored, 10)
+    for number, question in enumerate((("--situation", SITUATION), ("--stream", str(GATE)))):
+        out = tmp_path / f"restored-{number}"
+        ran = run("evidence", "export", *question, "--dsn", signed_log.dsn, "--key-file", key_file, "--out", out)
+        assert ran.code == 0, ran.err
+        assert {item["epoch"] for item in manifest_of(out)["items"] if item["stream"] == str(GATE)} == {number + 1}
+        assert alone(out, is_bare=False).out.endswith("INTACT AND SIGNED\n")
 
 
 # Any change is found.
