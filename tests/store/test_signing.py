@@ -2,6 +2,7 @@
 
 import random
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -213,6 +214,17 @@ def test_a_forged_signature_is_found(log: Log, signer: Signer, key_file: Path, t
     (broken,) = breaks(log)
     assert (broken.stream, broken.position, broken.first_sequence) == (CHECKPOINTS, 3, 2)
     assert "its signature is not that of key" in str(broken)
+
+
+def test_a_checkpoint_that_does_not_follow_the_one_before_is_found(log: Log, signer: Signer, key_file: Path) -> None:
+    append(log, GATE, 1)
+    first, key = signed(signer), load_key(key_file)
+    statement = replace(first.statement, position=2, heads=tuple(log.streams()), previous=bytes(32))
+    event = event_of(statement, key.sign(statement_bytes(statement)))
+    log.append([encode(CHECKPOINTS, batch_of([event]), PRODUCER)], [1])
+    (broken,) = breaks(log)
+    assert (broken.stream, broken.first_sequence) == (CHECKPOINTS, 2)
+    assert "it follows checkpoint 0000" in str(broken)
 
 
 # Keys.

@@ -41,7 +41,7 @@ def track(log: Log, count: int, stream: StreamName = GATE) -> None:
 
 
 def fill(log: Log, sign: Callable[[], object]) -> None:
-    """Three segments of ten points at the gate, the second and third matched; a yard that nobody asks for."""
+    """Points at the gate, the second and third segment matched, the fourth signed with them; a yard unasked for."""
     say(log, RuleDeployed(time=START, rule="yard-dwell", rule_version=3, rule_hash="ef" * 32, text=RULE), "rules")
     say(
         log,
@@ -63,6 +63,7 @@ def fill(log: Log, sign: Callable[[], object]) -> None:
     track(log, 10)
     track(log, 10)
     say(log, situation())
+    track(log, 5)
     sign()
     track(log, 10)
     sign()

@@ -18,6 +18,7 @@ from store import Log, load_key
 from tests.vian.conftest import Ran, Run
 from tests.vian.evidence.conftest import RULE, SITUATION, VIDEO, Export, fill, say, situation, track
 from tests.vian.samples import GATE, YARD
+from vian.evidence import verifier
 
 
 def manifest_of(directory: Path) -> dict[str, Any]:
@@ -77,19 +78,20 @@ def test_the_events_are_decoded_for_anyone(bundle: Path) -> None:
 
 def test_what_was_not_asked_for_comes_without_its_payload(bundle: Path, signed_log: Log) -> None:
     held = b"".join(path.read_bytes() for path in bundle.rglob("*") if path.is_file())
-    asked, between = list(signed_log.read(GATE))[1:3], list(signed_log.read(GATE))[::3]
-    assert all(segment.payload in held for segment in asked)
-    assert not any(segment.payload in held for segment in between)
+    before, *asked, behind, later = signed_log.read(GATE)
+    assert [segment.payload in held for segment in asked] == [True, True]
+    assert behind.payload_hash in held, "the chain goes on to what was signed"
+    assert not any(segment.payload in held for segment in (before, behind, later))
     assert not any(segment.payload in held for segment in signed_log.read(YARD))
 
 
 @pytest.mark.parametrize(
     "bounds, first, last",
     [
-        ((), 1, 40),
-        (("--from", "7"), 7, 40),
+        ((), 1, 45),
+        (("--from", "7"), 7, 45),
         (("--from", "7", "--to", "12"), 7, 12),
-        (("--to", "900"), 1, 40),
+        (("--to", "900"), 1, 45),
         (("--from", "2026-01-01T10:00:05Z", "--to", "2026-01-01T10:00:15Z"), 6, 15),
         (("--from", "9", "--to", "2026-01-01T10:00:15Z"), 9, 15),
     ],
@@ -105,7 +107,7 @@ def test_a_stream_is_exported_between_sequences_or_times(
 
 def test_evidence_is_signed_up_to_its_end(export: Export, signed_log: Log) -> None:
     track(signed_log, 10)
-    directory = export("--stream", str(GATE), "--from", "41")
+    directory = export("--stream", str(GATE), "--from", "46")
     assert alone(directory, is_bare=False).out.endswith("INTACT AND SIGNED\n")
 
 
@@ -119,7 +121,7 @@ def test_evidence_is_signed_up_to_its_end(export: Export, signed_log: Log) -> No
         (("--situation", "abcdef"), "no situation begins with 'abcdef'. Next: vian tail --type situation_detected"),
         (("--stream", "brno/gate"), "a stream is written station/source/type"),
         (("--stream", "brno/gone/track_point"), "there is no stream brno/gone/track_point; known: brno/gate"),
-        (("--stream", str(GATE), "--from", "50"), "has no events from 50 to its end; it has sequences 1 to 40"),
+        (("--stream", str(GATE), "--from", "50"), "has no events from 50 to its end; it has sequences 1 to 45"),
         (("--stream", str(GATE), "--from", "noon"), "--from must be a time such as"),
     ],
 )
@@ -292,8 +294,6 @@ def test_a_forger_who_makes_the_manifest_fit_breaks_the_chain(bundle: Path) -> N
 
 def alone_here(bundle: Path) -> list[tuple[str, str]]:
     """The faults that the verifier finds without signatures, in this process."""
-    from vian.evidence import verifier
-
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(verifier, "Ed25519PublicKey", None)
         return verifier.examine(bundle, lambda _: None, None, None).bad
@@ -307,6 +307,26 @@ def test_a_forger_cannot_drop_wanted_events(bundle: Path) -> None:
     (bundle / "manifest.json").write_text(json.dumps(manifest))
     reseal(bundle)
     assert alone_here(bundle) == [(path, "events 5 to 25 are not all there")]
+
+
+def test_a_forger_cannot_cut_the_chain_short(bundle: Path) -> None:
+    path = "segments/brno.gate.track_point.1.bin"
+    content = (bundle / path).read_bytes()
+    last = max(segment["at"] for segment in verifier.segments_in(path, content))
+    (bundle / path).write_bytes(content[:last])
+    reseal(bundle, path)
+    assert alone_here(bundle) == [(path, "the chain does not reach what checkpoint 3 signed at 35")]
+
+
+def test_a_forger_cannot_change_when_or_in_which_order_it_was_recorded(bundle: Path) -> None:
+    for path in sorted((bundle / "order").iterdir()):
+        content, name = path.read_bytes(), f"order/{path.name}"
+        for at in range(0, len(content), 11):
+            path.write_bytes(content[:at] + bytes([content[at] ^ 4]) + content[at + 1 :])
+            reseal(bundle, name)
+            assert name in {each for each, _ in alone_here(bundle)}, at
+        path.write_bytes(content)
+        reseal(bundle, name)
 
 
 @pytest.mark.parametrize(
