@@ -1,6 +1,7 @@
 """A log with a situation and all that it rests on, and evidence exported from it."""
 
 import json
+import shutil
 from collections.abc import Callable
 from datetime import timedelta
 from pathlib import Path
@@ -8,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from events import (
+    Catalogue,
     EventType,
     MatchedRange,
     ProcessStarted,
@@ -20,8 +22,12 @@ from events import (
     encode,
 )
 from store import Log, Signer, load_key, make_key
+from tests.conftest import Servers
 from tests.vian.conftest import Run
 from tests.vian.samples import GATE, START, YARD, points
+from vian.evidence.bundle import Source
+from vian.evidence.bundle import export as write
+from vian.evidence.selection import of_situation
 
 SITUATION = "3f9c2a71" * 8
 Export = Callable[..., Path]
@@ -95,11 +101,15 @@ def key_file(tmp_path: Path) -> Path:
     return tmp_path / "keys" / "station.key"
 
 
+def signer_of(log: Log, key_file: Path) -> Signer:
+    times = (START + timedelta(hours=hour) for hour in range(100))
+    return Signer(log, "brno", lambda: load_key(key_file), lambda: next(times))
+
+
 @pytest.fixture
 def signed_log(log: Log, key_file: Path) -> Log:
     """The log of `fill`, signed four times."""
-    times = (START + timedelta(hours=hour) for hour in range(100))
-    fill(log, Signer(log, "brno", lambda: load_key(key_file), lambda: next(times)).sign)
+    fill(log, signer_of(log, key_file).sign)
     return log
 
 
@@ -107,8 +117,8 @@ def signed_log(log: Log, key_file: Path) -> Log:
 def export(signed_log: Log, key_file: Path, tmp_path: Path, run: Run) -> Export:
     """Exports from the signed log; the directory."""
 
-    def do(*arguments: object, name: str = "evidence") -> Path:
-        out = tmp_path / name
+    def do(*arguments: object) -> Path:
+        out = tmp_path / "evidence"
         options = ("--dsn", signed_log.dsn, "--key-file", key_file, "--out", out, "--by", "officer", "--why", "case 12")
         ran = run("evidence", "export", *arguments, *options)
         assert ran.code == 0, ran.err
@@ -117,6 +127,21 @@ def export(signed_log: Log, key_file: Path, tmp_path: Path, run: Run) -> Export:
     return do
 
 
+@pytest.fixture(scope="session")
+def exported_once(servers: Servers, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Evidence of the situation from a log of its own."""
+    folder, server = tmp_path_factory.mktemp("exported"), servers.get("embedded")
+    key_file, name = folder / "keys" / "station.key", server.create_database()
+    make_key(key_file)
+    with Log(server.dsn(name), Catalogue.shipped()) as log:
+        fill(log, signer_of(log, key_file).sign)
+        source = Source(log, "brno", True, load_key(key_file), "officer", "case 12", START)
+        write(source, of_situation(log, SITUATION), folder / "evidence")
+    server.drop_database(name)
+    return folder / "evidence"
+
+
 @pytest.fixture
-def bundle(export: Export) -> Path:
-    return export("--situation", SITUATION[:8])
+def bundle(exported_once: Path, tmp_path: Path) -> Path:
+    """Evidence of the situation, to be changed at will."""
+    return Path(shutil.copytree(exported_once, tmp_path / "bundle"))
