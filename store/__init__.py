@@ -16,14 +16,17 @@ from store.errors import (
     StoreError,
     WrongMajor,
 )
+from store.journal import Journal
 from store.keys import StationKey, keys_of_others, known_keys, load_key, make_key
-from store.log import Appended, Checkpoint, Log, StreamHead, Transaction, open_log
+from store.log import Checkpoint, Log, StreamHead, Transaction, open_log
 from store.projector import Projector
 from store.proof import SignedCheckpoint, Statement, key_id
+from store.shared import SharedAppender, Stored
 from store.signing import Signer
 from store.subscription import Delivery, Subscription
 from store.verification import Verification, verify
 from store.verified import Verified
+from store.writing import Appended
 
 __all__ = [
     "Appended",
@@ -34,16 +37,19 @@ __all__ = [
     "Checkpoint",
     "Covered",
     "Delivery",
+    "Journal",
     "Log",
     "LogUnavailable",
     "Projector",
     "SchemaMismatch",
     "SequenceConflict",
+    "SharedAppender",
     "SignedCheckpoint",
     "Signer",
     "Statement",
     "StationKey",
     "StoreError",
+    "Stored",
     "StreamHead",
     "Subscription",
     "Transaction",

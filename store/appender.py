@@ -14,7 +14,8 @@ from typing import TypeVar
 
 from events import Draft, EventBatch, Producer, StreamName, encode
 from store.errors import LogUnavailable
-from store.log import Appended, Log
+from store.log import Log
+from store.writing import Appended
 
 T = TypeVar("T")
 

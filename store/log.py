@@ -9,6 +9,7 @@ A `Log` may be used by several threads. It runs as the role `vian_writer`, which
 delete anything in the log.
 """
 
+import select
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -24,7 +25,7 @@ from store.embedded import EmbeddedServer
 from store.errors import BadRequest, LogUnavailable
 from store.reading import Filter, TimeOrNone, read_query, segment_of, stream_query
 from store.schema import migrate, safe_dsn
-from store.writing import APPEND, append_error, append_parameters
+from store.writing import APPEND, Appended, append_answer, append_error, append_parameters
 
 T = TypeVar("T")
 
@@ -34,17 +35,6 @@ _PATIENCE_SECONDS = 1.0
 """How long to wait for the pool before asking the database itself whether it is there."""
 READ_SEGMENTS = 500
 """Segments fetched from the database at a time."""
-
-
-@dataclass(frozen=True, slots=True)
-class Appended:
-    """What became of one draft."""
-
-    position: int
-    first_sequence: int
-    chain_hash: bytes
-    was_there: bool
-    """It was a re-sent segment: acknowledged, not stored again."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,23 +88,7 @@ class Transaction:
             ChainBroken: A chain hash comes out different.
             BadRequest: The lists differ in length.
         """
-        if not drafts:
-            return []
-        for name, given in (("expected", expected), ("epochs", epochs), ("chain_hashes", chain_hashes)):
-            if given is not None and len(given) != len(drafts):
-                raise BadRequest(f"{name} must have one entry a draft: got {len(given)} for {len(drafts)} drafts")
-        count = len(drafts)
-        parameters = append_parameters(
-            drafts,
-            expected or [None] * count,
-            epochs or [self._epoch] * count,
-            chain_hashes or [None] * count,
-        )
-        try:
-            rows = self.connection.execute(APPEND, parameters, binary=True).fetchall()
-        except psycopg.Error as error:
-            raise append_error(error, drafts, expected) from error
-        return [Appended(*row) for row in rows]
+        return _append(self.connection, self._epoch, drafts, expected, epochs, chain_hashes)
 
     def save_checkpoint(self, name: str, position: int, state: bytes = b"") -> None:
         """Set the subscriber's checkpoint."""
@@ -224,9 +198,9 @@ class Log:
         epochs: Sequence[int] | None = None,
         chain_hashes: Sequence[bytes] | None = None,
     ) -> list[Appended]:
-        """Append the drafts in a transaction of their own; see `Transaction.append`."""
-        with self.transaction() as transaction:
-            return transaction.append(drafts, expected, epochs=epochs, chain_hashes=chain_hashes)
+        """Append the drafts in a transaction of their own and one round trip; see `Transaction.append`."""
+        with self.connection() as connection:
+            return _append(connection, self.epoch, drafts, expected, epochs, chain_hashes)
 
     def read(self, stream: StreamName, from_sequence: int = 1, *, epoch: int | None = None) -> Iterator[Segment]:
         """The stream's segments that hold `from_sequence` or a later event, in order.
@@ -350,6 +324,8 @@ class Log:
             except PoolTimeout:
                 self._knock()
                 connection = self._pool.getconn()
+            if not _has_been_told(connection):
+                return connection
             try:
                 ConnectionPool.check_connection(connection)
             except psycopg.OperationalError:
@@ -401,6 +377,31 @@ class Log:
         connection.execute(psycopg.sql.SQL("set role {}").format(psycopg.sql.Identifier(self._role)))
 
 
+def _append(
+    connection: psycopg.Connection[Any],
+    epoch: int,
+    drafts: Sequence[Draft],
+    expected: Sequence[int | None] | None,
+    epochs: Sequence[int] | None,
+    chain_hashes: Sequence[bytes] | None,
+) -> list[Appended]:
+    if not drafts:
+        return []
+    for name, given in (("expected", expected), ("epochs", epochs), ("chain_hashes", chain_hashes)):
+        if given is not None and len(given) != len(drafts):
+            raise BadRequest(f"{name} must have one entry a draft: got {len(given)} for {len(drafts)} drafts")
+    count = len(drafts)
+    parameters = append_parameters(
+        drafts, expected or [None] * count, epochs or [epoch] * count, chain_hashes or [None] * count
+    )
+    try:
+        row = connection.execute(APPEND, parameters, prepare=True, binary=True).fetchone()
+    except psycopg.Error as error:
+        raise append_error(error, drafts, expected) from error
+    assert row is not None, "the function answers in one row"
+    return append_answer(row)
+
+
 @contextmanager
 def _left_clean(connection: psycopg.Connection[Any]) -> Iterator[None]:
     """Close the connection if an interrupt leaves a command running on it: it cannot be rolled back."""
@@ -410,6 +411,13 @@ def _left_clean(connection: psycopg.Connection[Any]) -> Iterator[None]:
         if connection.info.transaction_status == psycopg.pq.TransactionStatus.ACTIVE:
             connection.close()
         raise
+
+
+def _has_been_told(connection: psycopg.Connection[Any]) -> bool:
+    """Whether the server has said something unasked: that it ends, most often. No round trip."""
+    listening = select.poll()
+    listening.register(connection.fileno(), select.POLLIN)
+    return bool(listening.poll(0))
 
 
 def open_log(*, data_dir: Path | None = None, dsn: str | None = None, catalogue: Catalogue | None = None) -> Log:

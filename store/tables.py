@@ -33,6 +33,13 @@ log_head = sa.Table(
         nullable=False,
         comment="epoch of this log's own streams; grows with each restore",
     ),
+    sa.Column(
+        "recorded_at",
+        TIMESTAMP,
+        nullable=False,
+        server_default=sa.text("'-infinity'"),
+        comment="when the newest segment was taken (UTC); -infinity when there is none",
+    ),
     comment="One row: where the log stands. Its lock orders commits.",
 )
 

@@ -1,25 +1,87 @@
 """The command `vian`: which commands there are, and what an error looks like.
 
 Exit codes: 0 done; 1 the world failed; 2 wrong usage; 130 interrupted with Ctrl-C or SIGTERM (what
-was stored stays; the same command goes on where it stopped).
+was stored stays; the same command goes on where it stopped). `vian serve` is a service: told to
+stop, it did what it was told, and ends with 0.
 """
 
 import os
-import signal
 import sys
+from collections.abc import Iterator, MutableMapping
+from importlib import import_module
 from typing import Annotated, Any
 
 import typer
+import typer.main
 from rich.console import Console
 from rich.text import Text
 from typer.core import TyperGroup
 
 from vian import logs
-from vian.commands import demo, doctor, evidence, extract, log, proof, query, rules, serve, station, sync
-from vian.errors import EXPECTED, exit_code
+from vian.entry import INTERRUPTED
+from vian.errors import exit_code, expected, told
 from vian.version import VERSION
 
-INTERRUPTED = 130
+MODULES = {
+    "demo": "demo",
+    "query": "query",
+    "streams": "log",
+    "tail": "log",
+    "project": "log",
+    "psql": "log",
+    "init": "proof",
+    "sign": "proof",
+    "verify": "proof",
+    "sync": "sync",
+    "serve": "serve",
+    "doctor": "doctor",
+    "extract": "extract",
+    "rules": "rules",
+    "station": "station",
+    "evidence": "evidence",
+}
+"""Each command or group of commands, in the order of the help, and the module of `vian.commands` that has it."""
+
+
+class _Loaded(MutableMapping[str, Any]):
+    """The commands by name, each imported when it is first looked up.
+
+    `vian streams` shall not wait for OpenCV, and not pay for it.
+    """
+
+    def __init__(self) -> None:
+        self._known: dict[str, Any] = {}
+
+    def __getitem__(self, name: str) -> Any:
+        if name not in self._known:
+            self._known.update(_commands_of(MODULES[name]))
+        return self._known[name]
+
+    def __setitem__(self, name: str, command: Any) -> None:
+        self._known[name] = command
+
+    def __delitem__(self, name: str) -> None:
+        del self._known[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(MODULES)
+
+    def __len__(self) -> int:
+        return len(MODULES)
+
+    def __contains__(self, name: object) -> bool:
+        return name in MODULES
+
+
+def _commands_of(module_name: str) -> dict[str, Any]:
+    """The commands of a module: those that it registers, or the group that it is."""
+    module = import_module(f"vian.commands.{module_name}")
+    collected = typer.Typer()
+    if hasattr(module, "register"):
+        module.register(collected)
+    else:
+        collected.add_typer(module.app, name=module_name)
+    return dict(typer.main.get_group(collected).commands)
 
 
 class Commands(TyperGroup):
@@ -28,12 +90,19 @@ class Commands(TyperGroup):
     Here and not around `app()`, because Typer answers an interrupt and a broken pipe itself there.
     """
 
+    def __init__(self, **given: Any) -> None:
+        super().__init__(**{**given, "commands": _Loaded()})
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """The names in the order of the help."""
+        return list(self.commands)
+
     def invoke(self, ctx: Any) -> Any:
         """Run the command that was named."""
         try:
             return super().invoke(ctx)
-        except EXPECTED as error:
-            _tell(str(error))
+        except expected() as error:
+            _tell(told(error))
             raise typer.Exit(exit_code(error)) from error
         except BrokenPipeError as error:
             # The reader of our output has gone (`vian tail | head`): leave quietly.
@@ -53,12 +122,6 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-app.add_typer(extract.app, name="extract")
-app.add_typer(rules.app, name="rules")
-app.add_typer(station.app, name="station")
-app.add_typer(evidence.app, name="evidence")
-for module in (demo, query, log, proof, sync, serve, doctor):
-    module.register(app)
 
 
 def _version(wanted: bool) -> None:
@@ -76,13 +139,6 @@ def root(
 ) -> None:
     """ViAn: the event-sourced metadata store for video with an online situation-pattern engine."""
     logs.configure(as_json=False, level=10 if verbose else 30)
-
-
-def main() -> None:
-    """Run the command line and leave with its exit code."""
-    # Services are ended with SIGTERM: it shall end a command like Ctrl-C, so that an embedded PostgreSQL stops too.
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
-    app()
 
 
 def _tell(text: str) -> None:

@@ -45,11 +45,12 @@ class Finding:
     text: str
 
 
-def examine(settings: Settings, open_existing: Callable[[], Log]) -> Iterator[Finding]:
+def examine(settings: Settings, open_existing: Callable[[], Log], *, is_embedded: bool) -> Iterator[Finding]:
     """The findings, one after the other.
 
     Args:
         settings: The installation's settings.
+        is_embedded: Whether the log is that of the data directory, not that of an address.
         open_existing: Opens the log; called only when there is one.
     """
     yield Finding("version", Verdict.OK, f"ViAn {VERSION}, Python {sys.version.split()[0]}")
@@ -58,7 +59,7 @@ def examine(settings: Settings, open_existing: Callable[[], Log]) -> Iterator[Fi
     )
     yield from _packages()
     yield _key(settings)
-    if settings.dsn is None:
+    if is_embedded:
         yield from _data_dir(settings.data_dir)
         if not has_log(settings.data_dir):
             yield Finding(

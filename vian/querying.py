@@ -6,6 +6,7 @@ PostgreSQL, so a query means the same at both doors; `events` has the envelope o
 `streams` the heads.
 """
 
+import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime
@@ -43,6 +44,16 @@ _EVENTS = pa.schema(
         ("recorded_at", _TIMESTAMP),
     ]
 )
+_EXAMPLE = 'vian query "SELECT type, count(*) FROM events GROUP BY ALL"'
+_WRITES = (
+    duckdb.StatementType.INSERT,
+    duckdb.StatementType.UPDATE,
+    duckdb.StatementType.DELETE,
+    duckdb.StatementType.MERGE_INTO,
+    duckdb.StatementType.ALTER,
+    duckdb.StatementType.DROP,
+)
+_GUESS = re.compile(r"\nDid you mean [^\n]*")
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,9 +82,10 @@ def query(log: Log, sql: str, scope: Scope = Scope()) -> pa.Table:
 def connect(log: Log, sql: str, scope: Scope) -> duckdb.DuckDBPyConnection:
     """A DuckDB connection that has the tables that the query names."""
     # Nothing is downloaded at run time; what DuckDB's wheel has built in is enough.
-    connection = duckdb.connect(config={"autoinstall_known_extensions": False})
+    connection = duckdb.connect(config={"autoinstall_known_extensions": False, "python_enable_replacements": False})
     connection.execute("set timezone = 'UTC'")
     try:
+        _check_reads(connection.extract_statements(sql))
         names = connection.get_table_names(sql)
     except duckdb.Error as error:
         connection.close()
@@ -82,6 +94,18 @@ def connect(log: Log, sql: str, scope: Scope) -> duckdb.DuckDBPyConnection:
         if (table := _table(log, name, scope)) is not None:
             connection.register(name, table)
     return connection
+
+
+def _check_reads(statements: Sequence[duckdb.Statement]) -> None:
+    if not statements:
+        raise WrongUsage(f"the query is empty. Next: {_EXAMPLE}")
+    if len(statements) > 1:
+        raise WrongUsage(f"a query is one statement, got {len(statements)}. Next: ask one after the other")
+    if statements[0].type in _WRITES:
+        raise WrongUsage(
+            f"the log is append-only, and query only reads: wanted SELECT, got {statements[0].type.name}. "
+            f"Next: {_EXAMPLE}"
+        )
 
 
 def _table(log: Log, name: str, scope: Scope) -> pa.Table | None:
@@ -180,8 +204,10 @@ def _streams(log: Log) -> pa.Table:
 
 def _explained(error: duckdb.Error, log: Log) -> WrongUsage:
     known = ", ".join(["events", "streams", *sorted(_names(log.catalogue))])
-    text = str(error)
-    hint = f"\nTables: {known}." if isinstance(error, duckdb.CatalogException) else ""
+    text, hint = str(error), ""
+    if "Table with name" in text:
+        # DuckDB guesses among its own tables only: ours are there when the query names them.
+        text, hint = _GUESS.sub("", text), f"\nTables: {known}."
     if "match_recognize" in text.lower():
         hint = "\nMATCH_RECOGNIZE in queries is not supported yet; rules have it: vian rules run."
     return WrongUsage(f"the query is not right: {text}{hint}")

@@ -23,6 +23,11 @@ REQUEST_SECONDS_MAX = 30.0
 DEFAULT_PLAN = (
     {"stream": "*/*/situation_detected", "priority": "situations"},
     {"stream": "*/*/rule_deployed", "priority": "situations"},
+    # What the points that follow rest on goes before them, and what says that there are no more, behind.
+    {"stream": "*/*/video_added", "priority": "situations"},
+    {"stream": "*/*/process_started", "priority": "situations"},
+    {"stream": "*/*/process_finished", "priority": "media"},
+    {"stream": "*/*/process_failed", "priority": "media"},
     {"stream": "*/*/track_ended", "priority": "tracks"},
     {"stream": "*/*/*", "priority": "points"},
 )
@@ -69,7 +74,8 @@ def station_daemon(
     if stations and station not in stations:
         raise WrongUsage(
             f"this log has no streams of station {station}, but of {', '.join(stations[:5])}. "
-            f"Next: give --station {stations[0]}, or set station in vian.toml"
+            f"Next: give --station {stations[0]} if central knows that name, else vian station add {stations[0]} "
+            f"there; or extract with --station {station}"
         )
     with httpx.Client(base_url=central, timeout=REQUEST_SECONDS_MAX, transport=transport) as client:
         yield Daemon(log, station_name(station), plan, client, token=token, now=now, random=random.random)

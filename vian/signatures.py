@@ -3,6 +3,7 @@
 import os
 import threading
 from collections.abc import Callable
+from datetime import UTC, datetime
 from pathlib import Path
 from time import monotonic
 
@@ -14,13 +15,17 @@ from store.keys import keep_public
 from store.signing import newest_checkpoint
 from vian.errors import WrongUsage
 from vian.parts import Part, stepping
-from vian.replication import utc_now
 from vian.settings import Settings
 
 logger = structlog.get_logger()
 
 KEY_NAME = "station.key"
 _PAUSE_SECONDS = 1.0
+
+
+def utc_now() -> datetime:
+    """This machine's clock."""
+    return datetime.now(UTC)
 
 
 def key_path(settings: Settings) -> Path:

@@ -39,6 +39,12 @@ def test_what_is_no_time_is_told_with_an_example(text: str) -> None:
         time_of("--since", text)
 
 
+@pytest.mark.parametrize("text", ["0001-01-01T00:00:00+14:00", "9999-12-31T23:59:59-01:00"])
+def test_a_time_that_utc_does_not_have_is_told(text: str) -> None:
+    with pytest.raises(WrongUsage, match="--since must lie in the years 1 to 9999 of UTC"):
+        time_of("--since", text)
+
+
 def test_a_folder_without_a_log_is_not_made_one_by_a_reader(tmp_path: Path) -> None:
     settings = settings_for(tmp_path / "typo")
     with pytest.raises(WorldFailed, match="Next: vian demo or vian extract makes one"), opened(settings):
@@ -52,3 +58,31 @@ def test_a_folder_that_cannot_be_looked_into_may_hold_a_log(tmp_path: Path, monk
 
     monkeypatch.setattr(Path, "exists", refuse)
     assert has_log(tmp_path)
+
+
+@pytest.mark.parametrize(
+    "names, said",
+    [
+        (None, "there is no such folder"),
+        ([], "it is empty"),
+        (["a", "b", "pg/x", "z"], "it holds a, b, pg, ..."),
+        (["PG_VERSION"], "it is the inside of one; give "),
+    ],
+)
+def test_what_stands_where_a_log_was_wanted_is_said(tmp_path: Path, names: list[str] | None, said: str) -> None:
+    folder = tmp_path / "folder"
+    for name in names or []:
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).touch()
+    if names == []:
+        folder.mkdir()
+    with pytest.raises(WorldFailed) as told, opened(settings_for(folder)):
+        pass
+    assert f"there is no log in {folder} ({said}" in str(told.value)
+    assert not (folder / "pg.lock").exists()
+
+
+def test_a_file_where_a_log_was_wanted_is_told(tmp_path: Path) -> None:
+    (tmp_path / "clip.mp4").touch()
+    with pytest.raises(WorldFailed, match=r"it is a file"), opened(settings_for(tmp_path / "clip.mp4")):
+        pass

@@ -18,9 +18,8 @@ from vian.evidence.bundle import Exported, Source, export
 from vian.evidence.selection import Selection, of_situation, of_stream
 from vian.options import opened, settings_for, time_of
 from vian.output import Output
-from vian.replication import utc_now
 from vian.settings import Settings
-from vian.signatures import has_key, key_path, own_station, signer_for
+from vian.signatures import has_key, key_path, own_station, signer_for, utc_now
 
 app = typer.Typer(help="Evidence that anyone can verify without ViAn.", no_args_is_help=True)
 
