@@ -7,11 +7,13 @@ checkpoints and verify are its methods. Rows for SQL are projections of segments
 from store.appender import Appender
 from store.audit import Covered
 from store.errors import (
+    ArchiveUnavailable,
     BadProof,
     BadRequest,
     ChainBroken,
     LogUnavailable,
     SchemaMismatch,
+    SealedFileDamaged,
     SequenceConflict,
     StoreError,
     WrongMajor,
@@ -21,6 +23,7 @@ from store.keys import StationKey, keys_of_others, known_keys, load_key, make_ke
 from store.log import Checkpoint, Log, StreamHead, Transaction, open_log
 from store.projector import Projector
 from store.proof import SignedCheckpoint, Statement, key_id
+from store.sealing import Sealer
 from store.shared import SharedAppender, Stored
 from store.signing import Signer
 from store.subscription import Delivery, Subscription
@@ -31,6 +34,7 @@ from store.writing import Appended
 __all__ = [
     "Appended",
     "Appender",
+    "ArchiveUnavailable",
     "BadProof",
     "BadRequest",
     "ChainBroken",
@@ -42,6 +46,8 @@ __all__ = [
     "LogUnavailable",
     "Projector",
     "SchemaMismatch",
+    "SealedFileDamaged",
+    "Sealer",
     "SequenceConflict",
     "SharedAppender",
     "SignedCheckpoint",

@@ -202,7 +202,7 @@ class Audit:
     def _compare_order(self, place: Segment, checkpoint: SignedCheckpoint) -> None:
         """Compare the order hash; from here on the walk goes by what was signed."""
         walk, first = self._walk, self._last_signed + 1
-        is_explained = any(first <= (each.position or 0) <= walk.position for each in walk.all_broken())
+        is_explained = walk.is_broken_between(first, walk.position)
         if walk.order_hash != checkpoint.statement.order_hash and not is_explained:
             reason = (
                 f"the order or a recorded_at of positions {first} to {walk.position} is not what "

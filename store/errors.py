@@ -2,10 +2,12 @@
 
 StoreError
 ├── LogUnavailable       the database cannot be started or reached, or went away
-│   └── WrongMajor       the data directory belongs to another major version of PostgreSQL
+│   ├── WrongMajor       the data directory belongs to another major version of PostgreSQL
+│   └── ArchiveUnavailable  the place of the sealed files cannot be reached
 ├── SchemaMismatch       the database's schema is newer than this program, or not ours
 ├── SequenceConflict     a stream does not stand where the writer expected
 ├── ChainBroken          stored or received bytes do not carry the hash that they should
+│   └── SealedFileDamaged   a part of a sealed file cannot be read
 ├── BadProof             a key, a signed checkpoint or a saved verification is not what it must be
 └── BadRequest           a call asked for what the log does not do
 """
@@ -25,6 +27,10 @@ class LogUnavailable(StoreError):
 
 class WrongMajor(LogUnavailable):
     """The data directory belongs to another major version of PostgreSQL."""
+
+
+class ArchiveUnavailable(LogUnavailable):
+    """The place of the sealed files cannot be reached; what it holds is not lost by that."""
 
 
 class SchemaMismatch(StoreError):
@@ -73,3 +79,14 @@ class ChainBroken(StoreError):
             f"station {self.stream.station}: stream {self.stream}, {at}"
             f"from sequence {self.first_sequence}: {self.reason}"
         )
+
+
+@dataclass(eq=False)
+class SealedFileDamaged(ChainBroken):
+    """A part of a sealed file cannot be read: it was damaged or is missing, and with it a range of positions."""
+
+    last_position: int
+    """Last position that cannot be read; `position` is the first."""
+
+    def __str__(self) -> str:
+        return f"positions {self.position} to {self.last_position}: {self.reason}"

@@ -5,13 +5,14 @@ Contract:
 - Positions are gapless and in commit order; sequences are gapless in each stream.
 - A re-sent segment is acknowledged and not stored again; other bytes in its place are refused.
 - Reads see only what is committed, in order of position or sequence.
+- Old segments may lie in sealed files (`store.sealing`); reads give them like the others.
 A `Log` may be used by several threads. It runs as the role `vian_writer`, which cannot change or
 delete anything in the log.
 """
 
 import select
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -21,11 +22,13 @@ import psycopg
 from psycopg_pool import ConnectionPool, PoolTimeout
 
 from events import Catalogue, Draft, EventType, Segment, StreamName, load_catalogue
+from store.coldtier import ColdTier
 from store.embedded import EmbeddedServer
-from store.errors import BadRequest, LogUnavailable
-from store.reading import Filter, TimeOrNone, read_query, segment_of, stream_query
+from store.errors import BadRequest, LogUnavailable, StoreError
+from store.reading import Filter, TimeOrNone, head_query, place_query, read_query, segment_of, stream_query
+from store.resending import acknowledged
 from store.schema import migrate, safe_dsn
-from store.writing import APPEND, Appended, append_answer, append_error, append_parameters
+from store.writing import APPEND, Appended, PlaceIsSealed, append_answer, append_error, append_parameters
 
 T = TypeVar("T")
 
@@ -62,9 +65,10 @@ class Transaction:
     one transaction may wait in a circle with another writer (one of the two is then LogUnavailable).
     """
 
-    def __init__(self, connection: psycopg.Connection[Any], epoch: int) -> None:
+    def __init__(self, connection: psycopg.Connection[Any], epoch: int, archive: ColdTier) -> None:
         self.connection = connection
         self._epoch = epoch
+        self._archive = archive
 
     def append(
         self,
@@ -88,7 +92,13 @@ class Transaction:
             ChainBroken: A chain hash comes out different.
             BadRequest: The lists differ in length.
         """
-        return _append(self.connection, self._epoch, drafts, expected, epochs, chain_hashes)
+        appended = _append(
+            self.connection, self._epoch, drafts, expected, epochs, chain_hashes, sealed_is_compared=True
+        )
+        return [
+            each if each.position is not None else self._compared(index, each, drafts, epochs, chain_hashes)
+            for index, each in enumerate(appended)
+        ]
 
     def save_checkpoint(self, name: str, position: int, state: bytes = b"") -> None:
         """Set the subscriber's checkpoint."""
@@ -110,6 +120,30 @@ class Transaction:
         assert row is not None, "the row was inserted above"
         return Checkpoint(*row)
 
+    def _compared(
+        self,
+        index: int,
+        place: Appended,
+        drafts: Sequence[Draft],
+        epochs: Sequence[int] | None,
+        chain_hashes: Sequence[bytes] | None,
+    ) -> Appended:
+        """What became of a re-sent draft whose place lies in a sealed file: the file tells whether it is the same."""
+        draft, epoch = drafts[index], epochs[index] if epochs else self._epoch
+        try:
+            head, stored = self._archive.holding((draft.stream, epoch), place.first_sequence)
+            return acknowledged(
+                draft, place.first_sequence, head, stored, chain_hashes[index] if chain_hashes else None
+            )
+        except StoreError:
+            self._fail()
+            raise
+
+    def _fail(self) -> None:
+        """Fail the transaction in the database too, so that it cannot be committed by mistake."""
+        with suppress(psycopg.errors.RaiseException):
+            self.connection.execute("do $$ begin raise exception 'refused by its client'; end $$")
+
 
 class Log:
     """A handle on one log."""
@@ -130,6 +164,9 @@ class Log:
             configure=self._configure,
             open=False,
         )
+        self.archive = ColdTier(self._fetched, server.data_dir if server else None)
+        self._sealed_position = 0
+        """As far as is known; it only grows."""
         self._pool.open()
         try:
             self.epoch: int = self._value("select epoch from log_head")
@@ -158,7 +195,7 @@ class Log:
                 transaction may then have been committed or not: append again with `expected`.
         """
         with self.connection() as connection, connection.transaction():
-            yield Transaction(connection, self.epoch)
+            yield Transaction(connection, self.epoch, self.archive)
 
     @contextmanager
     def connection(self) -> Iterator[psycopg.Connection[Any]]:
@@ -200,7 +237,13 @@ class Log:
     ) -> list[Appended]:
         """Append the drafts in a transaction of their own and one round trip; see `Transaction.append`."""
         with self.connection() as connection:
-            return _append(connection, self.epoch, drafts, expected, epochs, chain_hashes)
+            try:
+                return _append(connection, self.epoch, drafts, expected, epochs, chain_hashes)
+            except PlaceIsSealed:
+                # Nothing was stored. The comparison with the file must come before the commit.
+                with connection.transaction():
+                    transaction = Transaction(connection, self.epoch, self.archive)
+                    return transaction.append(drafts, expected, epochs=epochs, chain_hashes=chain_hashes)
 
     def read(self, stream: StreamName, from_sequence: int = 1, *, epoch: int | None = None) -> Iterator[Segment]:
         """The stream's segments that hold `from_sequence` or a later event, in order.
@@ -216,6 +259,14 @@ class Log:
         at = from_sequence
         while True:
             segments = self._segments(*stream_query(stream, epoch, at, READ_SEGMENTS))
+            if not segments or segments[0].header.first_sequence > at:
+                # Asked after the segments: what is not sealed by now was there to be found.
+                place = self._rows(*place_query(stream, epoch))
+                if place and (sealed := place[0][2]) >= max(at, 1):
+                    stream_id, epoch, _ = place[0]
+                    yield from self.archive.of_stream((stream, epoch), stream_id, at, sealed)
+                    at = sealed + 1
+                    continue
             yield from segments
             if len(segments) < READ_SEGMENTS:
                 return
@@ -257,8 +308,32 @@ class Log:
             at = segments[-1].position + 1
 
     def page(self, from_position: int, to_position: int, chosen: Filter, limit: int) -> list[Segment]:
-        """At most `limit` segments between two positions, both inclusive, that the filter lets through."""
-        return self._segments(*read_query(from_position, to_position, chosen, limit))
+        """At most `limit` segments between two positions, both inclusive, that the filter lets through.
+
+        Raises:
+            ChainBroken: A stored segment is one that no log can hold; `vian verify` tells more.
+            ArchiveUnavailable: Sealed files cannot be reached.
+        """
+        found: list[Segment] = []
+        at = from_position
+        while at <= to_position and len(found) < limit:
+            if at > self._sealed_position:
+                sealed, segments = self._hot(at, to_position, chosen, limit - len(found))
+                if at > sealed:
+                    return found + segments
+                # They were sealed since this handle looked last: what is left of them here begins too late.
+                self._sealed_position = sealed
+            last = min(to_position, self._sealed_position)
+            found += self.archive.page(at, last, chosen, limit - len(found))
+            at = last + 1
+        return found
+
+    def _hot(self, first: int, last: int, chosen: Filter, limit: int) -> tuple[int, list[Segment]]:
+        """The segments of a page that PostgreSQL holds, and the position up to which the log is sealed."""
+        rows = self._fetched(*read_query(first, last, chosen, limit))
+        # Asked after the segments where these did not say it: what is not sealed by now was there to be found.
+        sealed = rows[0][0] if rows else self.archive.sealed_position()
+        return sealed, [segment_of(row[1:]) for row in rows] if sealed < first else []
 
     def head(self) -> int:
         """Position of the newest segment; 0 for an empty log."""
@@ -282,19 +357,9 @@ class Log:
     ) -> StreamHead:
         """Where a stream stands, or stood when the log was at a position; sequence 0 if it is not there."""
         wanted = self.epoch if epoch is None else epoch
-        rows = self._rows(
-            "select g.first_sequence + g.event_count - 1, g.chain_hash "
-            "from segments g join streams s on s.id = g.stream_id "
-            "where s.station = %(station)s and s.source = %(source)s and s.type = %(type)s and s.epoch = %(epoch)s "
-            "and (%(at)s::bigint is null or g.position <= %(at)s) order by g.first_sequence desc limit 1",
-            {
-                "station": stream.station,
-                "source": stream.source,
-                "type": stream.type,
-                "epoch": wanted,
-                "at": at_position,
-            },
-        )
+        rows = self._rows(*head_query(stream, wanted, at_position))
+        if not rows and at_position is not None and (end := self.archive.end_at((stream, wanted), at_position)):
+            return StreamHead(stream, wanted, end.sequence, end.chain_hash)
         sequence, chain_hash = rows[0] if rows else (0, bytes(32))
         return StreamHead(stream, wanted, sequence, chain_hash)
 
@@ -355,14 +420,17 @@ class Log:
         Raises:
             ChainBroken: One of them is none that a log can hold.
         """
+        return [segment_of(row) for row in self._fetched(query, parameters)]
+
+    def _fetched(self, query: str, parameters: Mapping[str, Any]) -> list[tuple[Any, ...]]:
+        """The rows that a query finds; None for a time that Python does not know."""
         with self.connection() as connection:
             try:
-                rows = connection.execute(query, parameters, binary=True).fetchall()
+                return connection.execute(query, parameters, binary=True).fetchall()
             except psycopg.DataError:
                 cursor = connection.cursor(binary=True)
                 cursor.adapters.register_loader("timestamptz", TimeOrNone)
-                rows = cursor.execute(query, parameters).fetchall()
-        return [segment_of(row) for row in rows]
+                return cursor.execute(query, parameters).fetchall()
 
     def _value(self, query: str) -> Any:
         return self._rows(query)[0][0]
@@ -384,6 +452,8 @@ def _append(
     expected: Sequence[int | None] | None,
     epochs: Sequence[int] | None,
     chain_hashes: Sequence[bytes] | None,
+    *,
+    sealed_is_compared: bool = False,
 ) -> list[Appended]:
     if not drafts:
         return []
@@ -395,7 +465,7 @@ def _append(
         drafts, expected or [None] * count, epochs or [epoch] * count, chain_hashes or [None] * count
     )
     try:
-        row = connection.execute(APPEND, parameters, prepare=True, binary=True).fetchone()
+        row = connection.execute(APPEND, [*parameters, sealed_is_compared], prepare=True, binary=True).fetchone()
     except psycopg.Error as error:
         raise append_error(error, drafts, expected) from error
     assert row is not None, "the function answers in one row"

@@ -21,7 +21,8 @@ _COLUMNS = (
     "g.producer, g.producer_version, g.configuration_hash, g.payload, g.payload_hash, g.chain_hash, g.position, "
     "g.recorded_at"
 )
-_FROM = f"select {_COLUMNS} from segments g join streams s on s.id = g.stream_id where "
+_FROM = f"{_COLUMNS} from segments g join streams s on s.id = g.stream_id where "
+_SEALED_POSITION = "(select sealed_position from archive_head)"
 
 
 class TimeOrNone(TimestamptzBinaryLoader):
@@ -56,7 +57,10 @@ class Filter:
 
 
 def read_query(from_position: int, to_position: int, chosen: Filter, limit: int) -> tuple[str, dict[str, Any]]:
-    """The query for a page of the log, in order of position, and its parameters."""
+    """The query for a page of the log, in order of position, and its parameters.
+
+    Each row begins with the position up to which the log is sealed, as of the same moment.
+    """
     wanted: dict[str, tuple[str, Any]] = {
         "types": ("s.type = any(%(types)s)", _list(chosen.types)),
         "sources": ("s.source = any(%(sources)s)", _list(chosen.sources)),
@@ -68,7 +72,8 @@ def read_query(from_position: int, to_position: int, chosen: Filter, limit: int)
     conditions = ["g.position between %(first)s and %(last)s", *(condition for condition, _ in used.values())]
     parameters = {"first": from_position, "last": to_position, "limit": limit}
     parameters |= {name: value for name, (_, value) in used.items()}
-    return f"{_FROM}{' and '.join(conditions)} order by g.position limit %(limit)s", parameters
+    where = " and ".join(conditions)
+    return f"select {_SEALED_POSITION}, {_FROM}{where} order by g.position limit %(limit)s", parameters
 
 
 def stream_query(stream: StreamName, epoch: int | None, from_sequence: int, limit: int) -> tuple[str, dict[str, Any]]:
@@ -79,7 +84,7 @@ def stream_query(stream: StreamName, epoch: int | None, from_sequence: int, limi
     )
     # Both sub-queries stand alone, so that they are evaluated once and bound the index scan.
     query = (
-        f"{_FROM}g.stream_id = {wanted} and g.first_sequence + g.event_count > %(from)s "
+        f"select {_FROM}g.stream_id = {wanted} and g.first_sequence + g.event_count > %(from)s "
         f"and g.first_sequence >= coalesce((select max(h.first_sequence) from segments h where h.stream_id = {wanted} "
         "and h.first_sequence <= %(from)s), 0) order by g.first_sequence limit %(limit)s"
     )
@@ -90,6 +95,35 @@ def stream_query(stream: StreamName, epoch: int | None, from_sequence: int, limi
         "epoch": epoch,
         "from": from_sequence,
         "limit": limit,
+    }
+
+
+def place_query(stream: StreamName, epoch: int | None) -> tuple[str, dict[str, Any]]:
+    """The query for a stream's id, epoch, and the last of its sequences that is sealed, and its parameters."""
+    query = (
+        "select s.id, s.epoch, coalesce((select max(last_sequence) from sealed_ranges where stream_id = s.id), 0) "
+        "from streams s where s.station = %(station)s and s.source = %(source)s and s.type = %(type)s "
+        "and (%(epoch)s::int is null or s.epoch = %(epoch)s) order by s.epoch desc limit 1"
+    )
+    return query, {"station": stream.station, "source": stream.source, "type": stream.type, "epoch": epoch}
+
+
+def head_query(stream: StreamName, epoch: int, at_position: int | None) -> tuple[str, dict[str, Any]]:
+    """The query for where a stream stands, or stood by the segments that are not sealed, and its parameters."""
+    named = "s.station = %(station)s and s.source = %(source)s and s.type = %(type)s and s.epoch = %(epoch)s"
+    query = f"select s.sequence, s.chain_hash from streams s where {named}"
+    if at_position is not None:
+        query = (
+            "select g.first_sequence + g.event_count - 1, g.chain_hash from segments g "
+            f"join streams s on s.id = g.stream_id where {named} and g.position <= %(at)s "
+            "order by g.first_sequence desc limit 1"
+        )
+    return query, {
+        "station": stream.station,
+        "source": stream.source,
+        "type": stream.type,
+        "epoch": epoch,
+        "at": at_position,
     }
 
 

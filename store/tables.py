@@ -105,6 +105,83 @@ projections = sa.Table(
     comment="The row tables: rebuildable projections of segments.",
 )
 
+archive_head = sa.Table(
+    "archive_head",
+    metadata,
+    sa.Column("singleton", sa.Boolean, sa.CheckConstraint("singleton", name="archive_head_one_row"), primary_key=True),
+    sa.Column("sealed_position", sa.BigInteger, nullable=False, comment="segments up to here are in sealed files only"),
+    sa.Column(
+        "location",
+        sa.Text,
+        nullable=False,
+        comment="URL or folder of the archive; a relative one lies in the folder of the embedded log",
+    ),
+    sa.Column("pending_path", sa.Text, comment="file that a sealing is writing, or was when it was killed"),
+    sa.Column("pending_position", sa.BigInteger, comment="last position of that file"),
+    sa.Column("is_removing", sa.Boolean, nullable=False, comment="true only inside the function seal_segments"),
+    comment="One row: where the archive is, and how far the log is sealed.",
+)
+
+sealed_files = sa.Table(
+    "sealed_files",
+    metadata,
+    sa.Column("first_position", sa.BigInteger, primary_key=True, autoincrement=False, comment="first of its range"),
+    sa.Column("last_position", sa.BigInteger, nullable=False, comment="last of its range, which has no hole"),
+    sa.Column("path", sa.Text, nullable=False, comment="where it lies in the archive"),
+    sa.Column("sha256", pg.BYTEA, nullable=False, comment="SHA-256 of the whole file"),
+    sa.Column("bytes", sa.BigInteger, nullable=False, comment="size of the file, bytes"),
+    sa.Column("segments", sa.BigInteger, nullable=False, comment="number of segments"),
+    sa.Column("events", sa.BigInteger, nullable=False, comment="number of events"),
+    sa.Column("time_min", TIMESTAMP, nullable=False, comment="earliest event (UTC)"),
+    sa.Column("time_max", TIMESTAMP, nullable=False, comment="latest event (UTC)"),
+    sa.Column("sealed_at", TIMESTAMP, nullable=False, server_default=sa.func.now(), comment="when it was sealed"),
+    sa.UniqueConstraint("last_position", name="sealed_files_last_position"),
+    sa.UniqueConstraint("path", name="sealed_files_path"),
+    comment="The archive's index: one row is one sealed file, immutable.",
+)
+
+sealed_ranges = sa.Table(
+    "sealed_ranges",
+    metadata,
+    sa.Column("stream_id", sa.BigInteger, sa.ForeignKey("streams.id", name="sealed_ranges_stream")),
+    sa.Column("first_sequence", sa.BigInteger, nullable=False, comment="sequence of its first event in the file"),
+    sa.Column("last_sequence", sa.BigInteger, nullable=False, comment="sequence of its last event in the file"),
+    sa.Column(
+        "file",
+        sa.BigInteger,
+        sa.ForeignKey("sealed_files.first_position", name="sealed_ranges_file"),
+        nullable=False,
+        comment="first position of the file",
+    ),
+    sa.Column("first_position", sa.BigInteger, nullable=False, comment="position of its first segment in the file"),
+    sa.Column("last_position", sa.BigInteger, nullable=False, comment="position of its last segment in the file"),
+    sa.Column("time_min", TIMESTAMP, nullable=False, comment="its earliest event in the file (UTC)"),
+    sa.Column("time_max", TIMESTAMP, nullable=False, comment="its latest event in the file (UTC)"),
+    sa.Column("chain_hash", pg.BYTEA, nullable=False, comment="chain hash of its last segment in the file"),
+    sa.PrimaryKeyConstraint("stream_id", "first_sequence", name="sealed_ranges_pkey"),
+    sa.Index("sealed_ranges_of_file", "file"),
+    comment="What each sealed file holds of each stream, immutable.",
+)
+
+archive_projections = sa.Table(
+    "archive_projections",
+    metadata,
+    sa.Column(
+        "file",
+        sa.BigInteger,
+        sa.ForeignKey("sealed_files.first_position", name="archive_projections_file"),
+        primary_key=True,
+        autoincrement=False,
+        comment="first position of the sealed file",
+    ),
+    sa.Column("paths", pg.ARRAY(sa.Text), nullable=False, comment="the Parquet files made of it"),
+    sa.Column("events", sa.BigInteger, nullable=False, comment="number of events in them"),
+    sa.Column("segments_skipped", sa.BigInteger, nullable=False, comment="segments that could not be decoded"),
+    sa.Column("note", sa.Text, comment="why the first of these could not"),
+    sa.Column("projected_at", TIMESTAMP, nullable=False, server_default=sa.func.now(), comment="when"),
+    comment="Which sealed files have their decoded events in Parquet beside them.",
+)
+
 ENVELOPE_COLUMNS = ("station", "source", "type", "subject", "time", "sequence", "position", "recorded_at")
 
 _SQL_TYPES: dict[pa.DataType, Any] = {

@@ -4,7 +4,8 @@ Contract: `verify` reads; it changes nothing. It finds a changed payload, a chan
 missing, doubled or reordered segment, and a head that does not belong to its stream, and names the
 first bad position of each stream. Chains need no knowledge of event types. `position` and `recorded_at`
 are local to a log and not in the chain: signed checkpoints cover them, so a change of the order of
-two streams or of a recorded_at is found up to the newest checkpoint, and named by the range between two.
+two streams or of a recorded_at is found up to the newest checkpoint, and named by the range between two. A sealed
+file is compared to the byte with what was sealed.
 
 It can begin behind what an earlier run found sound (`Verified`), once that is checked itself: the log
 must not end before it, and each stream must still stand there with the hash that it had.
@@ -16,7 +17,7 @@ from time import monotonic
 
 from events import Segment
 from store.audit import Audit, Covered
-from store.errors import ChainBroken
+from store.errors import ChainBroken, SealedFileDamaged
 from store.log import Log
 from store.verified import Verified
 from store.walk import UNKNOWN, pages
@@ -94,6 +95,7 @@ def verify(
     for head in heads:
         walk.check_head(head)
     walk.faults += [fault for fault in outdated if fault.stream not in walk.broken]
+    walk.faults += _changed_files(log, start.position + 1, walk.faults)
     return Verification(
         walk.segments - start.segments,
         walk.events - start.events,
@@ -104,6 +106,16 @@ def verify(
         audit.covered(),
         Verified.of(walk, audit.trails) if walk.is_sound else None,
     )
+
+
+def _changed_files(log: Log, first: int, faults: list[ChainBroken]) -> list[SealedFileDamaged]:
+    """The sealed files that differ from what was sealed, but for those that are told of already."""
+    told = [fault.position or 0 for fault in faults if isinstance(fault, SealedFileDamaged)]
+    return [
+        changed
+        for changed in log.archive.changed_files(first)
+        if not any((changed.position or 0) <= position <= changed.last_position for position in told)
+    ]
 
 
 def _outdated(log: Log, end: int, before: Verified) -> list[ChainBroken]:

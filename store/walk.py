@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 from events import GENESIS, Segment, StreamName, chain
 from events.segment import microseconds
-from store.errors import ChainBroken
+from store.errors import ChainBroken, SealedFileDamaged
 from store.log import Log, StreamHead
 from store.proof import NO_HASH, order_hash
 from store.reading import Filter
@@ -55,7 +55,7 @@ class Walk:
     broken: dict[StreamName, ChainBroken] = field(default_factory=dict)
     """The first break of each broken stream."""
     faults: list[ChainBroken] = field(default_factory=list)
-    """What is wrong with no stream in particular: order, signatures."""
+    """What is wrong with no stream in particular: order, signatures, sealed files."""
 
     @property
     def is_sound(self) -> bool:
@@ -85,7 +85,10 @@ class Walk:
     def take_unreadable(self, broken: ChainBroken) -> None:
         """Go to a segment that cannot be read."""
         self.go_to(broken.position or self.position)
-        self.broken.setdefault(broken.stream, broken)
+        if isinstance(broken, SealedFileDamaged):
+            self._pass_over(broken)
+        else:
+            self.broken.setdefault(broken.stream, broken)
 
     def go_to(self, position: int) -> None:
         """Go to the position; what lies between is missing."""
@@ -110,11 +113,22 @@ class Walk:
             return
         self.broken[head.stream] = fault
 
+    def is_broken_between(self, first: int, last: int) -> bool:
+        """Whether something was wrong with a range of positions."""
+        return any((each.position or 0) <= last and _last(each) >= first for each in self.all_broken())
+
     def all_broken(self) -> list[ChainBroken]:
         """Every fault in the order of positions, holes that no stream misses included."""
         unclaimed = [_hole(first, last) for first, last in self.holes.items() if first not in self.missed]
         every = [*self.broken.values(), *unclaimed, *self.faults]
         return sorted(every, key=lambda fault: fault.position or self.position + 1)
+
+    def _pass_over(self, damage: SealedFileDamaged) -> None:
+        """Go on behind a range that cannot be read; the streams that miss something of it say so too."""
+        assert damage.position is not None, "a part of a file has a first position"
+        self.faults.append(damage)
+        self.holes[damage.position] = self.position = damage.last_position
+        self.missed.add(damage.position)
 
     def _fault(self, segment: Segment, at: At) -> ChainBroken | None:
         """What is wrong with a segment that follows the stream's state; None when nothing is."""
@@ -156,7 +170,7 @@ def pages(log: Log, first: int, last: int) -> Iterator[list[Segment] | ChainBrok
                     raise
                 yield from _readable(log, first, broken.position - 1)
                 yield broken
-                first, ahead = broken.position + 1, None
+                first, ahead = _last(broken) + 1, None
                 continue
             if not page:
                 return
@@ -166,6 +180,11 @@ def pages(log: Log, first: int, last: int) -> Iterator[list[Segment] | ChainBrok
             is_worth_it = mean >= _READ_AHEAD_BYTES and first <= last
             ahead = reader.submit(log.page, first, last, _EVERYTHING, limit) if is_worth_it else None
             yield page
+
+
+def _last(broken: ChainBroken) -> int:
+    """The last position that cannot be read."""
+    return broken.last_position if isinstance(broken, SealedFileDamaged) else broken.position or 0
 
 
 def _readable(log: Log, first: int, last: int) -> Iterator[list[Segment]]:

@@ -18,9 +18,13 @@ from store.errors import ChainBroken, LogUnavailable, SequenceConflict, StoreErr
 APPEND = (
     "select positions, first_sequences, chain_hashes, duplicates from append_segments("
     "%s::int[], %s::text[], %s::text[], %s::text[], %s::text[], %s::text[], %s::bytea[], %s::int[], %s::int[], "
-    "%s::bigint[], %s::int[], %s::int[], %s::timestamptz[], %s::timestamptz[], %s::bytea[], %s::int[], %s, %s)"
+    "%s::bigint[], %s::int[], %s::int[], %s::timestamptz[], %s::timestamptz[], %s::bytea[], %s::int[], %s, %s, %s)"
 )
 _HASH_BYTES = 32
+
+
+class PlaceIsSealed(StoreError):
+    """A re-sent segment's place lies in a sealed file, which the database cannot read; nothing was stored."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +71,7 @@ def append_parameters(
 
 
 def append_answer(row: Sequence[Any]) -> list[Appended]:
-    """What the function's one row says of each draft."""
+    """What the function's one row says of each draft; no position where a sealed file must be asked."""
     positions, first_sequences, hashes, duplicates = row
     chain_hashes = [hashes[at : at + _HASH_BYTES] for at in range(0, len(hashes), _HASH_BYTES)]
     return [Appended(*each) for each in zip(positions, first_sequences, chain_hashes, duplicates, strict=True)]
@@ -76,6 +80,8 @@ def append_answer(row: Sequence[Any]) -> list[Appended]:
 def append_error(error: psycopg.Error, drafts: Sequence[Draft], expected: Sequence[int | None] | None) -> Exception:
     """Our error for a refusal of the append function, or for a database that went away."""
     refusal = error.sqlstate
+    if refusal == "VA007":
+        return PlaceIsSealed(str(error))
     if refusal not in ("VA001", "VA002", "VA003"):
         if isinstance(error, psycopg.OperationalError):
             # Gone, full, or shutting down: what was sent can be sent again.

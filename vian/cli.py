@@ -39,6 +39,7 @@ MODULES = {
     "rules": "rules",
     "station": "station",
     "evidence": "evidence",
+    "archive": "archive",
 }
 """Each command or group of commands, in the order of the help, and the module of `vian.commands` that has it."""
 

@@ -152,7 +152,27 @@ def _log_found(open_existing: Callable[[], Log]) -> Iterator[Finding]:
         verdict = Verdict.OK if lag == 0 else Verdict.NOTE
         next_step = "" if lag == 0 else ". Next: vian project, or keep vian serve running"
         yield Finding("row tables", verdict, f"{lag} segments behind the log{next_step}")
+        yield from _archive(log)
         yield Finding("psql", Verdict.NOTE, _psql(log))
+
+
+def _archive(log: Log) -> Iterator[Finding]:
+    """Whether every sealed file is in its place with its size; nothing where nothing is sealed."""
+    files = log.archive.files()
+    if not files:
+        return
+    try:
+        place = log.archive.place()
+        place.require()
+        strange = [place.full(file.path) for file in files if place.size(file.path) != file.bytes]
+    except StoreError as error:
+        yield Finding("archive", Verdict.BAD, str(error))
+        return
+    if strange:
+        text = f"{len(strange)} of {len(files)} sealed files are missing or cut off, first {strange[0]}"
+        yield Finding("archive", Verdict.BAD, f"{text}. Next: bring them back from a copy, then vian verify")
+    else:
+        yield Finding("archive", Verdict.OK, f"{len(files)} sealed files at {place.name}")
 
 
 def _psql(log: Log) -> str:

@@ -58,9 +58,11 @@ def settings() -> str:
 
 
 def all_commands(group: Any = None, path: str = "vian") -> Iterator[tuple[str, Any]]:
-    """Every command with its whole name, groups left out, in the order of the help."""
+    """Every command with its whole name, groups that do nothing by themselves left out, in the order of the help."""
     root: Any = group or typer.main.get_command(app)
     for name, command in root.commands.items():
+        if getattr(command, "invoke_without_command", False):
+            yield f"{path} {name}", command
         if hasattr(command, "commands"):
             yield from all_commands(command, f"{path} {name}")
         else:

@@ -76,6 +76,12 @@ class Settings(BaseSettings):
     """longest time between signed checkpoints of `vian serve` while events come, in minutes; 0: by segments alone"""
     sign_every_segments: Annotated[int, Field(ge=0)] = 100_000
     """most segments between signed checkpoints of `vian serve`; 0: by time alone"""
+    archive: str | None = None
+    """folder or URL that `vian archive` seals to; by default `archive` in the folder of the embedded log"""
+    archive_after_days: Annotated[float, Field(ge=0)] = 30.0
+    """how long a segment stays in PostgreSQL before `vian archive` seals it, in days"""
+    archive_file_mb: Annotated[int, Field(ge=1)] = 64
+    """about how large a sealed file becomes, in MB"""
     database_wait_s: Annotated[float, Field(ge=0)] = 60.0
     """how long an append waits for a database that is away, in seconds"""
 

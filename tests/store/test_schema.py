@@ -264,7 +264,7 @@ def test_a_role_that_may_make_roles_and_tables_can_set_up_its_own_database(serve
         "create role founder login createrole", f"alter database {name} owner to founder", "create role stranger login"
     )
     # Another server's first user: the roles are not there yet.
-    taken = ("vian_writer", "vian_reader")
+    taken = ("vian_writer", "vian_reader", "vian_archiver")
     as_founder = sa.make_url(empty).set(username="founder").render_as_string(hide_password=False)
     try:
         for role in taken:
@@ -279,9 +279,9 @@ def test_a_role_that_may_make_roles_and_tables_can_set_up_its_own_database(serve
     finally:
         with psycopg.connect(empty, autocommit=True) as connection:
             connection.execute("drop owned by founder cascade")
-            connection.execute("drop owned by vian_writer, vian_reader")
+            connection.execute("drop owned by vian_writer, vian_reader, vian_archiver")
             connection.execute(f"alter database {name} owner to postgres")
-            connection.execute("drop role if exists vian_writer, vian_reader, founder, stranger")
+            connection.execute("drop role if exists vian_writer, vian_reader, vian_archiver, founder, stranger")
         for role in taken:
             server.execute(f"alter role {role}_kept rename to {role}")
 

@@ -40,6 +40,11 @@ class Writer:
         self._process.join(WAIT_S)
         assert self._process.exitcode == 0
 
+    def wait_until_dead(self) -> int | None:
+        """How it ended, when it had something to die of."""
+        self._process.join(WAIT_S)
+        return self._process.exitcode
+
     def kill(self) -> None:
         self._process.kill()
         self._process.join()

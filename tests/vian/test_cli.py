@@ -20,8 +20,10 @@ from vian.version import VERSION
 
 
 def commands(group: Any = None, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
-    """All commands with their path, groups left out."""
+    """All commands with their path, groups that do nothing by themselves left out."""
     for name, command in (group or typer.main.get_command(cli.app)).commands.items():
+        if getattr(command, "invoke_without_command", False):
+            yield (*path, name), command
         if hasattr(command, "commands"):
             yield from commands(command, (*path, name))
         else:
@@ -43,8 +45,9 @@ READERS = [
 
 def test_the_commands_are_those_that_there_should_be() -> None:
     assert {" ".join(path) for path in ALL} == {
-        "demo", "doctor", "evidence export", "evidence verify", "extract motion", "init", "project", "psql", "query",
-        "rules check", "rules run", "serve", "sign", "station add", "streams", "sync", "tail", "verify",
+        "archive", "archive project", "archive relocate", "archive status", "demo", "doctor", "evidence export",
+        "evidence verify", "extract motion", "init", "project", "psql", "query", "rules check", "rules run", "serve",
+        "sign", "station add", "streams", "sync", "tail", "verify",
     }  # fmt: skip
 
 

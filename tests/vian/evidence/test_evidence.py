@@ -15,6 +15,7 @@ import pytest
 
 from events import StreamName
 from store import Log
+from tests.store.tiered import seal_all
 from tests.vian.conftest import Ran, Run
 from tests.vian.evidence.conftest import RULE, SITUATION, VIDEO, Export, fill, say, situation, track
 from tests.vian.samples import GATE, YARD
@@ -210,6 +211,20 @@ def test_both_lives_of_a_restored_station_can_be_exported(
         assert ran.code == 0, ran.err
         assert {item["epoch"] for item in manifest_of(out)["items"] if item["stream"] == str(GATE)} == {number + 1}
         assert alone(out, is_bare=False).out.endswith("INTACT AND SIGNED\n")
+
+
+def test_sealed_segments_are_evidence_like_the_others(
+    signed_log: Log, run: Run, tmp_path: Path, key_file: Path
+) -> None:
+    seal_all(signed_log, tmp_path / "archive")
+    options = ("--dsn", signed_log.dsn, "--key-file", key_file)
+    assert json.loads(run("verify", *options, "--json").out)["signed"][0]["checkpoints"] == 4
+    track(signed_log, 1)
+    out = tmp_path / "sealed"
+    assert run("evidence", "export", "--situation", SITUATION, *options, "--out", out).code == 0
+    assert alone(out, is_bare=False).out.endswith("INTACT AND SIGNED\n")
+    again = json.loads(run("verify", *options, "--json").out)
+    assert (again["signed"][0]["checkpoints"], again["segments_read"]) == (5, 2)
 
 
 # Any change is found.
