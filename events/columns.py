@@ -14,6 +14,7 @@ from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, Self, TypeVar, Union, get_args, get_origin
 
 import numpy as np
+import numpy.typing as npt
 import pyarrow as pa
 from pydantic import AwareDatetime, ValidationError
 from pydantic.fields import FieldInfo
@@ -45,6 +46,10 @@ class EventBatch:
     data: pa.RecordBatch
 
     def __post_init__(self) -> None:
+        if not isinstance(self.data, pa.RecordBatch):
+            raise InvalidEvent(
+                f"{self.type.type_name}: data must be a pyarrow.RecordBatch, got {type(self.data).__name__}"
+            )
         wanted = schema_of(self.type)
         if not self.data.schema.equals(wanted, check_metadata=False):
             raise InvalidEvent(f"{self.type.type_name}: {_difference(self.data.schema, wanted)}")
@@ -131,6 +136,15 @@ def _values(events: Sequence[EventType], field: pa.Field) -> list[Any]:
     if not pa.types.is_list(field.type):
         return values
     return [None if parts is None else [part.model_dump() for part in parts] for parts in values]
+
+
+def numbers(column: pa.Array) -> npt.NDArray[Any]:
+    """The column's values without nulls; times as microseconds since 1970."""
+    if column.null_count:
+        column = column.drop_null()
+    if isinstance(column, pa.TimestampArray):
+        column = column.view(pa.int64())
+    return column.to_numpy()  # type: ignore[no-any-return]
 
 
 def _column(event_type: type[EventType], field: pa.Field, values: list[Any]) -> pa.Array:

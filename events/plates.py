@@ -7,7 +7,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from events.model import EventType, Float32, PersonalJson, PersonalText
+from events.model import EventType, Finite32, PersonalJson, PersonalText, Share32
 
 
 class PlateRead(EventType, type="plate_read", version=1, subject="plate"):
@@ -15,17 +15,17 @@ class PlateRead(EventType, type="plate_read", version=1, subject="plate"):
 
     plate: PersonalText
     """the plate's text as read, without blanks"""
-    confidence: Float32
+    confidence: Share32
     """how sure the reading is, 0 (not at all) to 1 (sure)"""
     frame: Annotated[int, Field(ge=0)]
     """number of the frame within the video, from 0"""
-    x1: Float32
+    x1: Finite32
     """left edge of the plate's box, px"""
-    y1: Float32
+    y1: Finite32
     """upper edge of the plate's box, px"""
-    x2: Float32
+    x2: Finite32
     """right edge of the plate's box, px"""
-    y2: Float32
+    y2: Finite32
     """lower edge of the plate's box, px"""
     country: str | None
     """country of registration, ISO 3166-1 alpha-2; null where unread"""

@@ -1,8 +1,9 @@
 """Many segments decoded at once: the hot road from the log to columns.
 
-Contract: what comes out is in the order of what went in, each segment with its events; errors are those of
-`events.decode`, raised where the segment's turn is. Decompression leaves Python's lock, so a few threads
-decode while the database sends what follows. Memory is bounded by the chunks that are on their way.
+Contract: what comes out is in the order of what went in, each segment with its events, or with why this
+program does not know them: the caller decides whether it goes on without. Decompression leaves Python's
+lock, so a few threads decode while the database sends what follows. Memory is bounded by the chunks that
+are on their way.
 """
 
 from collections import deque
@@ -10,17 +11,17 @@ from collections.abc import Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from itertools import islice
 
-from events import Catalogue, EventBatch, Segment, decode
+from events import Catalogue, EventBatch, Segment, UnknownType, decode
 
 THREADS = 2
 _CHUNK_SEGMENTS = 50
 """Handed to a thread at a time, so that the handing over costs little."""
 
-Decoded = tuple[Segment, EventBatch]
+Decoded = tuple[Segment, EventBatch | UnknownType]
 
 
 def decoded(segments: Iterable[Segment], catalogue: Catalogue, threads: int = THREADS) -> Iterator[Decoded]:
-    """The segments, each with its events.
+    """The segments, each with its events, or with the error that its type or version is not known here.
 
     Args:
         segments: The segments.
@@ -28,7 +29,6 @@ def decoded(segments: Iterable[Segment], catalogue: Catalogue, threads: int = TH
         threads: How many decode at once.
 
     Raises:
-        UnknownType: The catalogue does not know a segment's type or version.
         CorruptSegment: A segment's bytes do not decode to what its header says.
     """
     remaining = iter(segments)
@@ -43,4 +43,11 @@ def decoded(segments: Iterable[Segment], catalogue: Catalogue, threads: int = TH
 
 
 def _decoded(chunk: list[Segment], catalogue: Catalogue) -> list[Decoded]:
-    return [(segment, decode(segment, catalogue)) for segment in chunk]
+    return [(segment, _events(segment, catalogue)) for segment in chunk]
+
+
+def _events(segment: Segment, catalogue: Catalogue) -> EventBatch | UnknownType:
+    try:
+        return decode(segment, catalogue)
+    except UnknownType as error:
+        return error

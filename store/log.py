@@ -25,7 +25,16 @@ from events import Catalogue, Draft, EventType, Segment, StreamName, load_catalo
 from store.coldtier import ColdTier
 from store.embedded import EmbeddedServer
 from store.errors import BadRequest, LogUnavailable, StoreError
-from store.reading import Filter, TimeOrNone, head_query, place_query, read_query, segment_of, stream_query
+from store.reading import (
+    Filter,
+    TimeOrNone,
+    check_not_negative,
+    head_query,
+    place_query,
+    read_query,
+    segment_of,
+    stream_query,
+)
 from store.resending import acknowledged
 from store.schema import migrate, safe_dsn
 from store.writing import APPEND, Appended, PlaceIsSealed, append_answer, append_error, append_parameters
@@ -90,7 +99,7 @@ class Transaction:
         Raises:
             SequenceConflict: A stream stands elsewhere, or holds other bytes there.
             ChainBroken: A chain hash comes out different.
-            BadRequest: The lists differ in length.
+            BadRequest: The lists differ in length, or an expected sequence is negative.
         """
         appended = _append(
             self.connection, self._epoch, drafts, expected, epochs, chain_hashes, sealed_is_compared=True
@@ -254,9 +263,13 @@ class Log:
             epoch: Which life of the stream; its newest by default.
 
         Raises:
+            BadRequest: `from_sequence` is negative.
             ChainBroken: A stored segment is one that no log can hold; `vian verify` tells more.
         """
-        at = from_sequence
+        check_not_negative(f"{stream}: from_sequence", from_sequence)
+        return self._read(stream, from_sequence, epoch)
+
+    def _read(self, stream: StreamName, at: int, epoch: int | None) -> Iterator[Segment]:
         while True:
             segments = self._segments(*stream_query(stream, epoch, at, READ_SEGMENTS))
             if not segments or segments[0].header.first_sequence > at:
@@ -295,11 +308,14 @@ class Log:
             to_position: The last position wanted; the log's head at the time of the call by default.
 
         Raises:
+            BadRequest: `from_position` is negative, or a time is naive.
             ChainBroken: A stored segment is one that no log can hold; `vian verify` tells more.
         """
+        check_not_negative("from_position", from_position)
+        return self._read_all(from_position, to_position, Filter(types, sources, stations, since, until))
+
+    def _read_all(self, at: int, to_position: int | None, chosen: Filter) -> Iterator[Segment]:
         end = to_position if to_position is not None else self.head()
-        chosen = Filter(types, sources, stations, since, until)
-        at = from_position
         while at <= end:
             segments = self.page(at, end, chosen, READ_SEGMENTS)
             yield from segments
@@ -460,6 +476,9 @@ def _append(
     for name, given in (("expected", expected), ("epochs", epochs), ("chain_hashes", chain_hashes)):
         if given is not None and len(given) != len(drafts):
             raise BadRequest(f"{name} must have one entry a draft: got {len(given)} for {len(drafts)} drafts")
+    for draft, sequence in zip(drafts, expected or (), strict=False):
+        if sequence is not None:
+            check_not_negative(f"{draft.stream}: expected", sequence)
     count = len(drafts)
     parameters = append_parameters(
         drafts, expected or [None] * count, epochs or [epoch] * count, chain_hashes or [None] * count

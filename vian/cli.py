@@ -32,6 +32,7 @@ MODULES = {
     "init": "proof",
     "sign": "proof",
     "verify": "proof",
+    "events": "events",
     "sync": "sync",
     "serve": "serve",
     "doctor": "doctor",

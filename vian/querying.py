@@ -1,12 +1,15 @@
 """SQL over the log: DuckDB, each event type a table, straight from the segments.
 
 Contract: an answer rests on what the log held when the query began; projections are not needed.
-Only the types that a query names are decoded. Tables bear the columns of the row tables in
+Only the types that a query names are decoded, in their newest version; what is stored in a version newer than this
+program knows has no row in its type's table, and is counted. Tables bear the columns of the row tables in
 PostgreSQL, so a query means the same at both doors; `events` has the envelope of all types, and
 `streams` the heads.
 """
 
+import logging
 import re
+from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime
@@ -15,9 +18,12 @@ import duckdb
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from events import EventType, Segment, UnknownType, decode, schema_of, with_envelope
+from events import EventBatch, EventType, Segment, UnknownType, schema_of, with_envelope
 from store import Log
+from store.decoding import decoded
 from vian.errors import WrongUsage
+
+logger = logging.getLogger(__name__)
 
 _TIMESTAMP = pa.timestamp("us", tz="UTC")
 _FRONT = pa.schema(
@@ -122,33 +128,32 @@ def _rows(log: Log, event_type: type[EventType], scope: Scope) -> pa.Table:
     """The row table of a type: envelope columns, then the type's fields."""
     payload = [field.remove_metadata() for field in schema_of(event_type) if field.name != "time"]
     schema = pa.schema([*_FRONT, *(pa.field(field.name, field.type) for field in payload)])
-    batches = (
-        _with_place(segment, log).select(schema.names).cast(schema)
-        for segment in _segments(log, [event_type.type_name], scope)
-    )
-    return pa.Table.from_batches(list(batches), schema=schema)
+    batches, unknown = [], Counter[str]()
+    for segment, events in decoded(_segments(log, [event_type.type_name], scope), log.catalogue):
+        if isinstance(events, UnknownType):
+            unknown[str(events)] += segment.header.event_count
+        else:
+            batches.append(_with_place(segment, events).select(schema.names).cast(schema))
+    for reason, count in unknown.items():
+        logger.warning("the answer leaves out %d events: %s", count, reason)
+    return pa.Table.from_batches(batches, schema=schema)
 
 
 def _events(log: Log, scope: Scope) -> pa.Table:
     """The envelope of all events, those of unknown types included."""
-    batches = [_envelope(segment, log) for segment in _segments(log, None, scope)]
-    return pa.Table.from_batches(batches, schema=_EVENTS)
+    segments = decoded(_segments(log, None, scope), log.catalogue)
+    return pa.Table.from_batches([_envelope(segment, events) for segment, events in segments], schema=_EVENTS)
 
 
-def _envelope(segment: Segment, log: Log) -> pa.RecordBatch:
-    try:
-        whole = _with_place(segment, log)
-    except UnknownType:
-        whole = _without_payload(segment)
+def _envelope(segment: Segment, events: EventBatch | UnknownType) -> pa.RecordBatch:
+    whole = _without_payload(segment) if isinstance(events, UnknownType) else _with_place(segment, events)
     prefix = pa.scalar(f"{segment.stream}/", pa.string())
     ids = pc.binary_join_element_wise(prefix, whole.column("sequence").cast(pa.string()), "")
     return pa.RecordBatch.from_arrays([ids, *(whole.column(name) for name in _EVENTS.names[1:])], schema=_EVENTS)
 
 
-def _with_place(segment: Segment, log: Log) -> pa.RecordBatch:
-    batch = decode(segment, log.catalogue)
-    whole = with_envelope(segment.stream, segment.header.first_sequence, batch)
-    return _placed(whole, segment)
+def _with_place(segment: Segment, events: EventBatch) -> pa.RecordBatch:
+    return _placed(with_envelope(segment.stream, segment.header.first_sequence, events), segment)
 
 
 def _without_payload(segment: Segment) -> pa.RecordBatch:

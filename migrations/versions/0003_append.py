@@ -27,11 +27,11 @@ def upgrade() -> None:
             "recorded_at",
             _TIMESTAMP,
             nullable=False,
-            server_default=sa.text("'-infinity'"),
-            comment="when the newest segment was taken (UTC); -infinity when there is none",
+            server_default=sa.text("'1970-01-01 00:00:00+00'"),
+            comment="when the newest segment was taken (UTC); 1970 when there is none",
         ),
     )
-    op.execute("update log_head set recorded_at = coalesce((select max(recorded_at) from segments), '-infinity')")
+    op.execute("update log_head set recorded_at = coalesce((select max(recorded_at) from segments), recorded_at)")
     op.execute("drop function append_segments")
     _create("0003_append_segments.sql")
 

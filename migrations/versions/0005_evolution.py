@@ -1,4 +1,7 @@
-"""Row tables of the event types `checkpoint_signed`, `loss_recorded` and `plate_read`, in the view `events` too.
+"""Row tables of three more event types, and version 2 of `track_ended`.
+
+`checkpoint_signed`, `loss_recorded` and `plate_read` join the view `events`. `track_ended` gets
+`displacement_px`, filled in for the rows that are there as the upcaster would.
 
 Revision: 0005
 """
@@ -16,7 +19,11 @@ _TIMESTAMP = sa.TIMESTAMP(timezone=True)
 _TYPES = ("checkpoint_signed", "loss_recorded", "plate_read")
 
 
+_DISTANCE = "sqrt((x_exit::float8 - x_entry) ^ 2 + (y_exit::float8 - y_entry) ^ 2)"
+
+
 def upgrade() -> None:
+    _add_displacement()
     _row_table(
         "checkpoint_signed",
         "A station signed the heads of all streams of its log, as they stood at one position.",
@@ -124,11 +131,32 @@ def upgrade() -> None:
 
 
 def downgrade() -> None:
+    op.drop_column("track_ended", "displacement_px")
     # The rows stay in the log: row tables are rebuilt from it.
     _show([name for name in _projections() if name not in _TYPES])
     for name in _TYPES:
         op.execute(f"delete from projections where name = '{name}'")
         op.drop_table(name)
+
+
+def _add_displacement() -> None:
+    op.add_column(
+        "track_ended",
+        sa.Column(
+            "displacement_px",
+            sa.REAL,
+            nullable=False,
+            server_default="0",
+            comment="straight distance between the first and the last ground contact point, px",
+        ),
+    )
+    # One rewrite of each partition, which an update would leave full of dead rows. PostgreSQL holds NaN above all
+    # numbers, and refuses a cast to real that overflows, where NumPy gives infinity.
+    op.execute(
+        "alter table track_ended alter column displacement_px drop default, alter column displacement_px type real "
+        f"using (case when {_DISTANCE} = 'NaN' then 'NaN' when {_DISTANCE} > 3.4028235e38 then 'Infinity' "
+        f"else {_DISTANCE} end)::real"
+    )
 
 
 def _projections() -> list[str]:

@@ -13,6 +13,7 @@ from events import (
     InvalidEvent,
     StreamName,
     TrackEnded,
+    TrackEndedV1,
     TrackPoint,
     batch_of,
     batch_of_type,
@@ -25,8 +26,8 @@ from tests.events.examples import NOON, rule_deployed, situation, sync_planned, 
 from tests.events.plugged import VehicleWeighed
 from tests.events.strategies import INT64_MAX, batches, bits, events
 
-TYPES = (*SHIPPED, VehicleWeighed)
-each_type = pytest.mark.parametrize("event_type", TYPES, ids=lambda t: t.type_name)
+TYPES = (*SHIPPED, TrackEndedV1, VehicleWeighed)
+each_type = pytest.mark.parametrize("event_type", TYPES, ids=lambda t: f"{t.type_name}.v{t.version}")
 
 
 @each_type
@@ -83,7 +84,7 @@ def test_a_field_without_a_column_type_is_refused_by_name(kind: object) -> None:
         schema_of(odd)
 
 
-@pytest.mark.parametrize("event_type", TYPES, ids=lambda t: t.type_name)
+@pytest.mark.parametrize("event_type", TYPES, ids=lambda t: f"{t.type_name}.v{t.version}")
 def test_a_batch_may_be_empty(event_type: type[EventType]) -> None:
     batch = batch_of_type(event_type, [])
     assert len(batch) == 0

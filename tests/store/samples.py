@@ -135,6 +135,7 @@ ONE_OF_EACH: tuple[EventType, ...] = (
         x_exit=3,
         y_exit=4,
         reason="lost",
+        displacement_px=2.5,
     ),
     ActivityInterval(
         time=NOON,

@@ -123,6 +123,8 @@ def run(
     for name, late in processor.late.items():
         if late:
             output.note(f"rule {name}: {late} events came too late to take part")
+    if processor.segments_skipped:
+        output.note(f"{processor.segments_skipped} segments of versions unknown here took no part. Next: upgrade ViAn")
     output.result({"rules": len(rules), "situations": found}, f"{found} situations found by {len(rules)} rules")
     if processor.failures:
         reasons = "; ".join(f"{name}: {failure}" for name, failure in processor.failures.items())
