@@ -27,7 +27,7 @@ HEADS_MAGIC = b"VIANHDS1"
 NO_HASH = bytes(32)
 NO_KEY = bytes(32)
 HEADS_TEXT_BYTES_MAX = 4 * 1024 * 1024
-"""Most bytes of a checkpoint's heads as JSON: about 20,000 streams."""
+"""Most bytes of a checkpoint's heads as JSON: about 30,000 streams."""
 
 
 @dataclass(frozen=True, slots=True)

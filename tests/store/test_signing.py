@@ -129,6 +129,14 @@ def test_events_lead_to_the_checkpoint_and_back(log: Log, signer: Signer) -> Non
     assert event.heads_hash == heads_hash(checkpoint.statement.heads).hex()
 
 
+def test_a_log_of_too_many_streams_is_told(log: Log, signer: Signer) -> None:
+    append(log, GATE, 1)
+    checkpoint = signed(signer)
+    heads = checkpoint.statement.heads * 50_000
+    with pytest.raises(BadProof, match=r"at most 4194304 bytes of heads, got \d+ for 50000 streams\. Next: sign on"):
+        event_of(replace(checkpoint.statement, heads=heads), checkpoint.signature)
+
+
 def test_a_broken_log_is_not_signed(log: Log, signer: Signer, tampering: "psycopg.Connection[Any]") -> None:
     append(log, GATE, 1, 1, 1)
     tampering.execute("update segments set event_count = 2 where position = 2")
