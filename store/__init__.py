@@ -5,8 +5,10 @@ checkpoints and verify are its methods. Rows for SQL are projections of segments
 """
 
 from store.appender import Appender
+from store.audit import Covered
 from store.errors import (
     ArchiveUnavailable,
+    BadProof,
     BadRequest,
     ChainBroken,
     LogUnavailable,
@@ -18,22 +20,28 @@ from store.errors import (
     WrongMajor,
 )
 from store.journal import Journal
+from store.keys import StationKey, keys_of_others, known_keys, load_key, make_key
 from store.log import Checkpoint, Log, StreamHead, Transaction, open_log
 from store.projector import Projector
+from store.proof import SignedCheckpoint, Statement, key_id
 from store.sealing import Sealer
 from store.shared import SharedAppender, Stored
+from store.signing import Signer
 from store.subscription import Delivery, Subscription
 from store.upkeep import RowPolicy, RowTable, Upkeep, maintain, row_tables
 from store.verification import Verification, verify
+from store.verified import Verified
 from store.writing import Appended
 
 __all__ = [
     "Appended",
     "Appender",
     "ArchiveUnavailable",
+    "BadProof",
     "BadRequest",
     "ChainBroken",
     "Checkpoint",
+    "Covered",
     "Delivery",
     "Journal",
     "Log",
@@ -46,6 +54,10 @@ __all__ = [
     "Sealer",
     "SequenceConflict",
     "SharedAppender",
+    "SignedCheckpoint",
+    "Signer",
+    "Statement",
+    "StationKey",
     "StoreError",
     "Stored",
     "StreamHead",
@@ -54,8 +66,14 @@ __all__ = [
     "Transaction",
     "Upkeep",
     "Verification",
+    "Verified",
     "WrongMajor",
+    "key_id",
+    "keys_of_others",
+    "known_keys",
+    "load_key",
     "maintain",
+    "make_key",
     "open_log",
     "row_tables",
     "verify",

@@ -9,6 +9,7 @@ StoreError
 ├── TableBusy            a row table cannot be changed while queries read it
 ├── ChainBroken          stored or received bytes do not carry the hash that they should
 │   └── SealedFileDamaged   a part of a sealed file cannot be read
+├── BadProof             a key, a signed checkpoint or a saved verification is not what it must be
 └── BadRequest           a call asked for what the log does not do
 """
 
@@ -35,6 +36,10 @@ class ArchiveUnavailable(LogUnavailable):
 
 class SchemaMismatch(StoreError):
     """The database's schema is newer than this program, or not ours."""
+
+
+class BadProof(StoreError):
+    """A key, a signed checkpoint or a saved verification is not what it must be."""
 
 
 class TableBusy(StoreError):

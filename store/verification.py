@@ -1,21 +1,28 @@
-"""Verify: recompute every hash of the log from its stored bytes.
+"""Verify: recompute every hash of the log from its stored bytes, and check what was signed.
 
 Contract: `verify` reads; it changes nothing. It finds a changed payload, a changed header, a
 missing, doubled or reordered segment, and a head that does not belong to its stream, and names the
-first bad position of each stream. It needs no knowledge of event types. `position` and `recorded_at`
-are local to a log and not hashed: that two streams' segments changed places is not found, unless they are sealed:
-a sealed file is compared to the byte with what was sealed.
+first bad position of each stream. Chains need no knowledge of event types. `position` and `recorded_at`
+are local to a log and not in the chain: signed checkpoints cover them, so a change of the order of
+two streams or of a recorded_at is found up to the newest checkpoint, and named by the range between two. A sealed
+file is compared to the byte with what was sealed.
+
+It can begin behind what an earlier run found sound (`Verified`), once that is checked itself: the log
+must not end before it, and each stream must still stand there with the hash that it had.
 """
 
-import hashlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from time import monotonic
 
-from events import GENESIS, Segment, StreamName, chain
+from events import Segment
+from store.audit import Audit, Covered
 from store.errors import ChainBroken, SealedFileDamaged
-from store.log import Log, StreamHead
+from store.log import Log
+from store.verified import Verified
+from store.walk import UNKNOWN, pages
 
-_UNKNOWN = StreamName.of("unknown", "unknown", "unknown")
+_SAVE_SECONDS = 5.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,12 +30,19 @@ class Verification:
     """What a verification found."""
 
     segments: int
+    """read now; those up to `since` were not"""
     events: int
     streams: int
     position: int
     """The log was verified up to here."""
     broken: list[ChainBroken]
     """The first break of each broken stream, in the order of positions; empty when all is well."""
+    since: int = 0
+    """Up to here an earlier run had found the log sound; it was not read again."""
+    covered: tuple[Covered, ...] = ()
+    """What signatures cover."""
+    verified: Verified | None = field(default=None, compare=False, repr=False)
+    """Where the next run can begin; None when the log is not sound."""
 
     @property
     def is_sound(self) -> bool:
@@ -36,157 +50,86 @@ class Verification:
         return not self.broken
 
 
-@dataclass(slots=True)
-class _Stream:
-    sequence: int = 0
-    chain_hash: bytes = GENESIS
-    position: int = 0
-
-
-@dataclass(slots=True)
-class _Progress:
-    segments: int = 0
-    events: int = 0
-    position: int = 0
-    streams: dict[tuple[StreamName, int], _Stream] = field(default_factory=dict)
-    holes: dict[int, int] = field(default_factory=dict)
-    """First and last position of each range that is missing."""
-    missed: set[int] = field(default_factory=set)
-    """The holes that a stream misses."""
-    broken: dict[StreamName, ChainBroken] = field(default_factory=dict)
-    damaged: list[SealedFileDamaged] = field(default_factory=list)
-    """Parts of sealed files that cannot be read."""
-
-
-def verify(log: Log, on_segment: Callable[[Segment], None] | None = None) -> Verification:
-    """Check the whole log, as it stood when the call began.
+def verify(
+    log: Log,
+    on_segment: Callable[[Segment], None] | None = None,
+    *,
+    before: Verified | None = None,
+    station: str | None = None,
+    trusted: Mapping[str, bytes] | None = None,
+    save: Callable[[Verified], None] | None = None,
+) -> Verification:
+    """Check the log, as it stood when the call began.
 
     Args:
         log: The log.
         on_segment: Called after each segment, to show progress.
+        before: What an earlier run found sound; the whole log is read without it, or where it does not hold.
+        station: The station whose log this is.
+        trusted: Its public keys by key id; without them, its first key is believed.
+        save: Called every few seconds, as long as all is sound, with where an interrupted run can go on.
     """
     end, heads = log.heads()
-    progress = _Progress()
-    for found in _read(log, 1, end):
-        if isinstance(found, ChainBroken):
-            _go_to(found.position or 0, progress)
-            if isinstance(found, SealedFileDamaged):
-                _pass_over(found, progress)
-            else:
-                progress.broken.setdefault(found.stream, found)
+    outdated = _outdated(log, end, before) if before is not None else []
+    start = before if before is not None and not outdated else Verified.nothing()
+    walk = start.walk()
+    audit = Audit(log, walk, end, heads, station, trusted or {}, start.trails)
+    saved_at = monotonic()
+    for page in pages(log, start.position + 1, end):
+        if isinstance(page, ChainBroken):
+            walk.take_unreadable(page)
+            audit.at()
             continue
-        _go_to(found.position, progress)
-        _check(found, progress)
-        if on_segment is not None:
-            on_segment(found)
-    _go_to(end + 1, progress)
+        for segment in page:
+            walk.take(segment)
+            audit.take(segment)
+            if on_segment is not None:
+                on_segment(segment)
+        if save is not None and walk.is_sound and monotonic() - saved_at > _SAVE_SECONDS:
+            save(Verified.of(walk, audit.trails))
+            saved_at = monotonic()
+    walk.go_to(end + 1)
+    walk.position = end
+    audit.at()
+    audit.finish()
     for head in heads:
-        _check_head(head, progress)
-    unclaimed = [_hole(first, last) for first, last in progress.holes.items() if first not in progress.missed]
-    faults = [*progress.broken.values(), *progress.damaged, *unclaimed]
-    faults += _changed_files(log, progress.damaged)
-    broken = sorted(faults, key=lambda fault: fault.position or end + 1)
-    return Verification(progress.segments, progress.events, len(progress.streams), end, broken)
+        walk.check_head(head)
+    walk.faults += [fault for fault in outdated if fault.stream not in walk.broken]
+    walk.faults += _changed_files(log, start.position + 1, walk.faults)
+    return Verification(
+        walk.segments - start.segments,
+        walk.events - start.events,
+        len(walk.streams),
+        end,
+        walk.all_broken(),
+        start.position,
+        audit.covered(),
+        Verified.of(walk, audit.trails) if walk.is_sound else None,
+    )
 
 
-def _read(log: Log, first: int, last: int) -> Iterator[Segment | ChainBroken]:
-    """The segments between two positions, and in the place of each that cannot be read what is wrong with it."""
-    while first <= last:
-        try:
-            for segment in log.read_all(first, to_position=last):
-                yield segment
-                first = segment.position + 1
-            return
-        except ChainBroken as broken:
-            unreadable = broken
-        assert unreadable.position is not None, "what was read has a position"
-        yield from _read(log, first, unreadable.position - 1)
-        yield unreadable
-        first = (unreadable.last_position if isinstance(unreadable, SealedFileDamaged) else unreadable.position) + 1
-
-
-def _go_to(position: int, progress: _Progress) -> None:
-    if position > progress.position + 1:
-        progress.holes[progress.position + 1] = position - 1
-    progress.position = position
-
-
-def _pass_over(damage: SealedFileDamaged, progress: _Progress) -> None:
-    """Go on behind a range that cannot be read; the streams that miss something of it say so too."""
-    assert damage.position is not None, "a part of a file has a first position"
-    progress.damaged.append(damage)
-    progress.holes[damage.position] = progress.position = damage.last_position
-    progress.missed.add(damage.position)
-
-
-def _changed_files(log: Log, damaged: list[SealedFileDamaged]) -> list[SealedFileDamaged]:
+def _changed_files(log: Log, first: int, faults: list[ChainBroken]) -> list[SealedFileDamaged]:
     """The sealed files that differ from what was sealed, but for those that are told of already."""
-    told = [damage.position or 0 for damage in damaged]
+    told = [fault.position or 0 for fault in faults if isinstance(fault, SealedFileDamaged)]
     return [
         changed
-        for changed in log.archive.changed_files()
+        for changed in log.archive.changed_files(first)
         if not any((changed.position or 0) <= position <= changed.last_position for position in told)
     ]
 
 
-def _check(segment: Segment, progress: _Progress) -> None:
-    header = segment.header
-    stream = progress.streams.setdefault((header.stream, header.epoch), _Stream())
-    if header.stream not in progress.broken:
-        fault = _fault(segment, stream, progress)
-        if fault is not None:
-            progress.broken[header.stream] = fault
-    stream.sequence, stream.chain_hash, stream.position = header.last_sequence, segment.chain_hash, segment.position
-    progress.segments += 1
-    progress.events += header.event_count
-
-
-def _fault(segment: Segment, stream: _Stream, progress: _Progress) -> ChainBroken | None:
-    """What is wrong with a segment that follows the stream's state; None when nothing is."""
-    header = segment.header
-    payload_hash = hashlib.sha256(segment.payload).digest()
-    chain_hash = chain(stream.chain_hash, header, segment.payload_hash)
-    if payload_hash != segment.payload_hash:
-        reason = f"the payload's hash is {payload_hash.hex()}, recorded was {segment.payload_hash.hex()}"
-    elif header.first_sequence > stream.sequence + 1:
-        return _missing(header.stream, stream, header.first_sequence - 1, segment.position, progress)
-    elif header.first_sequence != stream.sequence + 1:
-        reason = f"it follows sequence {stream.sequence}, so it must begin at {stream.sequence + 1}"
-    elif chain_hash != segment.chain_hash:
-        reason = (
-            f"the chain hash is {chain_hash.hex()}, recorded was {segment.chain_hash.hex()}; its header was changed"
-        )
-    else:
-        return None
-    return ChainBroken(header.stream, segment.position, header.first_sequence, reason)
-
-
-def _check_head(head: StreamHead, progress: _Progress) -> None:
-    if head.stream in progress.broken:
-        return
-    seen = progress.streams.get((head.stream, head.epoch), _Stream())
-    if seen.sequence < head.sequence:
-        fault = _missing(head.stream, seen, head.sequence, None, progress)
-    elif seen.sequence > head.sequence:
-        reason = f"the stream's head says {head.sequence} events, {seen.sequence} are stored"
-        fault = ChainBroken(head.stream, seen.position, head.sequence + 1, reason)
-    elif seen.chain_hash != head.chain_hash:
-        reason = f"the stream's head has the chain hash {head.chain_hash.hex()}, its newest segment another"
-        fault = ChainBroken(head.stream, seen.position or None, seen.sequence + 1, reason)
-    else:
-        return
-    progress.broken[head.stream] = fault
-
-
-def _missing(
-    name: StreamName, stream: _Stream, last_sequence: int, position: int | None, progress: _Progress
-) -> ChainBroken:
-    """Events that a stream lacks behind its state, at the first position where they may have been."""
-    holes = [first for first in progress.holes if first > stream.position]
-    progress.missed.update(holes)
-    reason = f"sequences {stream.sequence + 1} to {last_sequence} are missing"
-    return ChainBroken(name, holes[0] if holes else position, stream.sequence + 1, reason)
-
-
-def _hole(first: int, last: int) -> ChainBroken:
-    return ChainBroken(_UNKNOWN, first, 0, f"positions {first} to {last} are missing, and no stream misses them")
+def _outdated(log: Log, end: int, before: Verified) -> list[ChainBroken]:
+    """Where the log is no longer what an earlier run found."""
+    if end < before.position:
+        reason = f"the log was found sound up to position {before.position}, now it ends at {end}"
+        return [ChainBroken(UNKNOWN, end + 1, 0, reason)]
+    faults = []
+    for head, position in before.heads():
+        now = log.stream_head(head.stream, epoch=head.epoch, at_position=before.position)
+        if (now.sequence, now.chain_hash) != (head.sequence, head.chain_hash):
+            reason = (
+                f"it was found sound up to sequence {head.sequence} with the chain hash {head.chain_hash.hex()}, "
+                f"now it stands there at {now.sequence} with {now.chain_hash.hex()}"
+            )
+            faults.append(ChainBroken(head.stream, position, head.sequence, reason))
+    return faults

@@ -29,7 +29,9 @@ MODULES = {
     "tail": "log",
     "project": "project",
     "psql": "log",
-    "verify": "log",
+    "init": "proof",
+    "sign": "proof",
+    "verify": "proof",
     "events": "events",
     "sync": "sync",
     "serve": "serve",
@@ -37,6 +39,7 @@ MODULES = {
     "extract": "extract",
     "rules": "rules",
     "station": "station",
+    "evidence": "evidence",
     "archive": "archive",
 }
 """Each command or group of commands, in the order of the help, and the module of `vian.commands` that has it."""

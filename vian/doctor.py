@@ -15,11 +15,12 @@ from enum import StrEnum
 from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 
-from store import Log, StoreError
+from store import BadProof, Log, StoreError, load_key
 from store.embedded import MAJOR
 from store.projector import NAME as PROJECTOR
 from vian.options import has_log
 from vian.settings import Settings, config_file
+from vian.signatures import key_path
 from vian.version import VERSION
 
 PACKAGES = ("events", "store", "patterns", "extractors", "sync", "migrations", "vian")
@@ -57,6 +58,7 @@ def examine(settings: Settings, open_existing: Callable[[], Log], *, is_embedded
         "settings", Verdict.OK, f"from {config_file()}" if config_file().exists() else "defaults and environment"
     )
     yield from _packages()
+    yield _key(settings)
     if is_embedded:
         yield from _data_dir(settings.data_dir)
         if not has_log(settings.data_dir):
@@ -104,6 +106,16 @@ def _overwritten() -> Iterator[str]:
         digest = hashlib.new(file.hash.mode, path.read_bytes()).digest() if path.exists() else b""
         if base64.urlsafe_b64encode(digest).rstrip(b"=").decode() != file.hash.value:
             yield str(file)
+
+
+def _key(settings: Settings) -> Finding:
+    path = key_path(settings)
+    if not path.exists():
+        return Finding("key", Verdict.NOTE, "there is no key: nothing is signed. Next, if it shall be: vian init")
+    try:
+        return Finding("key", Verdict.OK, f"{load_key(path).id} in {path}")
+    except BadProof as error:
+        return Finding("key", Verdict.BAD, str(error))
 
 
 def _data_dir(data_dir: Path) -> Iterator[Finding]:

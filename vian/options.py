@@ -17,6 +17,10 @@ DataDir = Annotated[
 ]
 Dsn = Annotated[str | None, typer.Option("--dsn", help="External PostgreSQL instead: postgresql://user@host/database.")]
 Station = Annotated[str | None, typer.Option("--station", help="Name of this station.", show_default="the host's name")]
+KeyFile = Annotated[
+    Path | None,
+    typer.Option("--key-file", help="This station's key for signatures.", show_default="station.key in --data-dir"),
+]
 Json = Annotated[bool, typer.Option("--json", help="One JSON object a line, for machines.")]
 Since = Annotated[str | None, typer.Option("--since", help="Only events at or after this time (ISO 8601, UTC).")]
 Until = Annotated[str | None, typer.Option("--until", help="Only events before this time (ISO 8601, UTC).")]

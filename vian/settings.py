@@ -70,6 +70,12 @@ class Settings(BaseSettings):
     """central server: TOML file with the stations that may replicate, `name = "SHA-256 of its token"`"""
     plan: HomePath | None = None
     """YAML file of the sync plan: which streams, in which order"""
+    key_file: HomePath | None = None
+    """file of the station's key for signatures, made by `vian init`, mode 0600; `station.key` in data_dir by default"""
+    sign_every_min: Annotated[float, Field(ge=0)] = 10.0
+    """longest time between signed checkpoints of `vian serve` while events come, in minutes; 0: by segments alone"""
+    sign_every_segments: Annotated[int, Field(ge=0)] = 100_000
+    """most segments between signed checkpoints of `vian serve`; 0: by time alone"""
     archive: str | None = None
     """folder or URL that `vian archive` seals to; by default `archive` in the folder of the embedded log"""
     archive_after_days: Annotated[float, Field(ge=0)] = 30.0

@@ -36,6 +36,7 @@ READERS = [
     ["tail"],
     ["query", "select 1"],
     ["verify"],
+    ["evidence", "export", "--situation", "3f9c2a71"],
     ["project"],
     ["psql"],
     ["sync", "--once", "--central", "http://x", "--token-file", "token"],
@@ -44,9 +45,9 @@ READERS = [
 
 def test_the_commands_are_those_that_there_should_be() -> None:
     assert {" ".join(path) for path in ALL} == {
-        "archive", "archive project", "archive relocate", "archive status",
-        "demo", "doctor", "events", "extract motion", "project", "project maintain", "project rebuild",
-        "project status", "psql", "query", "rules check", "rules run", "serve",
+        "archive", "archive project", "archive relocate", "archive status", "demo", "doctor", "events",
+        "evidence export", "evidence verify", "extract motion", "init", "project", "project maintain",
+        "project rebuild", "project status", "psql", "query", "rules check", "rules run", "serve", "sign",
         "station add", "streams", "sync", "tail", "verify",
     }  # fmt: skip
 
@@ -67,7 +68,7 @@ def test_every_option_is_explained(path: tuple[str, ...]) -> None:
 
 @pytest.mark.parametrize(
     "path",
-    [path for path in ALL if path[0] not in ("rules", "station", "events") or path[1:] == ("run",)],
+    [p for p in ALL if p[0] not in ("rules", "station", "events", "evidence") or p[1:] in (("run",), ("export",))],
     ids=" ".join,
 )
 def test_every_command_takes_an_embedded_or_an_external_log(path: tuple[str, ...]) -> None:

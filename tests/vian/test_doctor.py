@@ -6,7 +6,7 @@ from typing import Any, NoReturn
 
 import pytest
 
-from store import Log, LogUnavailable, Projector
+from store import Log, LogUnavailable, Projector, make_key
 from tests.vian.samples import append, points, reopened
 from vian import doctor
 from vian.doctor import Verdict, examine
@@ -41,6 +41,19 @@ def test_a_log_is_described_and_its_lag(log: Log) -> None:
     Projector(log).catch_up()
     assert findings(lambda: reopened(log), dsn=log.dsn)["row tables"] == (Verdict.OK, "0 segments behind the log")
     assert "--dsn" in found["psql"][1]
+
+
+def test_the_key_is_a_finding(tmp_path: Path) -> None:
+    assert findings(never, data_dir=tmp_path)["key"] == (
+        Verdict.NOTE,
+        "there is no key: nothing is signed. Next, if it shall be: vian init",
+    )
+    key = make_key(tmp_path / "station.key")
+    assert findings(never, data_dir=tmp_path)["key"] == (Verdict.OK, f"{key.id} in {tmp_path}/station.key")
+    (tmp_path / "station.key").chmod(0o644)
+    verdict, text = findings(never, data_dir=tmp_path)["key"]
+    assert verdict is Verdict.BAD
+    assert f"Next: chmod 600 {tmp_path}/station.key" in text
 
 
 def test_a_database_that_is_away_is_a_finding(log: Log) -> None:

@@ -1,4 +1,4 @@
-"""`vian streams`, `vian tail`, `vian verify`: look at the log and prove it."""
+"""`vian streams`, `vian tail`, `vian project`, `vian psql`: look at the log."""
 
 import subprocess
 from typing import Annotated
@@ -7,7 +7,7 @@ import typer
 from psycopg.conninfo import conninfo_to_dict, make_conninfo
 
 from events import Segment, UnknownType, decode, events_of
-from store import Log, Subscription, verify
+from store import Log, Subscription
 from vian import options
 from vian.errors import WorldFailed
 from vian.options import check_known, opened, settings_for
@@ -30,7 +30,6 @@ def register(app: typer.Typer) -> None:
         # `vian psql -c ...` is what people type: what is no option of ours is psql's.
         context_settings={"ignore_unknown_options": True},
     )(psql)
-    app.command(name="verify", epilog="Example: vian verify --data-dir /var/lib/vian")(verify_log)
 
 
 def streams(data_dir: options.DataDir = None, dsn: options.Dsn = None, as_json: options.Json = False) -> None:
@@ -125,41 +124,3 @@ def _as_reader(log: Log) -> str:
         return log.dsn
     given = conninfo_to_dict(log.dsn).get("options") or ""
     return make_conninfo(log.dsn, options=f"{given} -c role=vian_reader".strip())
-
-
-def verify_log(data_dir: options.DataDir = None, dsn: options.Dsn = None, as_json: options.Json = False) -> None:
-    """Recompute every hash of the log from its stored bytes; exit code 1 and the first bad position if one differs."""
-    output = Output(is_json=as_json)
-    with (
-        opened(settings_for(data_dir, dsn), data_dir=data_dir) as log,
-        output.progress("positions", log.head()) as bar,
-    ):
-        found = verify(log, on_segment=lambda segment: bar.at(segment.position))
-    if not found.is_sound:
-        for broken in found.broken:
-            output.result(
-                {
-                    "sound": False,
-                    "station": broken.stream.station,
-                    "stream": str(broken.stream),
-                    "position": broken.position,
-                    "first_sequence": broken.first_sequence,
-                    "reason": broken.reason,
-                },
-                f"broken: {broken}",
-            )
-        raise WorldFailed(
-            f"the log does not verify: {len(found.broken)} breaks. "
-            "Next: keep this database as it is, and restore the streams named from central or a backup"
-        )
-    output.result(
-        {
-            "sound": True,
-            "segments": found.segments,
-            "events": found.events,
-            "streams": found.streams,
-            "position": found.position,
-        },
-        f"sound: {found.events} events in {found.segments} segments of {found.streams} streams, up to position "
-        f"{found.position}",
-    )

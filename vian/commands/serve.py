@@ -25,6 +25,7 @@ from vian.replication import load_plan, station_daemon, sync_part
 from vian.rows import upkeep_part
 from vian.rules import processor_part
 from vian.settings import Settings
+from vian.signatures import has_key, signing_part
 from vian.stations import StationsFile, read_token
 
 STEP_SECONDS = 1.0
@@ -90,6 +91,8 @@ def _parts(stack: ExitStack, log: Log, settings: Settings, role: Role) -> list[P
         stepping("projector", lambda: projector.step(STEP_SECONDS), log, projector.close),
         upkeep_part(log, settings),
     ]
+    if has_key(settings):
+        parts.append(signing_part(log, settings))
     if settings.rules is not None:
         parts.append(processor_part(log, settings.station, settings.rules))
     if role is Role.STATION and settings.central is not None:

@@ -30,7 +30,7 @@ def test_old_segments_are_sealed_and_every_command_sees_the_whole_log(filled: Lo
         commands = (
             ["streams", "--json"],
             ["tail", "-n", "12", "--json"],
-            ["verify"],
+            ["verify", "--full"],
             [
                 "query",
                 "select source, count(*), max(recorded_at) from track_point group by all order by all",
@@ -143,7 +143,7 @@ def test_the_archive_moves_when_all_its_files_have(filled: Log, run: Run, tmp_pa
 def test_an_archive_that_is_away_is_told_with_the_next_command(filled: Log, run: Run, tmp_path: Path) -> None:
     run("archive", "--older-than", "0d", "--to", tmp_path / "a", "--dsn", filled.dsn)
     shutil.rmtree(tmp_path / "a")
-    for command in (["tail"], ["verify"], ["query", "select count(*) from track_point"]):
+    for command in (["tail"], ["verify", "--full"], ["query", "select count(*) from track_point"]):
         ran = run(*command, "--dsn", filled.dsn)
         assert ran.code == 1
         assert f"the archive of sealed files is not at {tmp_path / 'a'}. Next: mount or bring back" in ran.words

@@ -1,10 +1,9 @@
-"""`vian streams`, `tail`, `psql`, `verify`."""
+"""`vian streams`, `tail`, `psql`."""
 
 import json
 from collections.abc import Callable
 from typing import Any
 
-import psycopg
 import pytest
 from psycopg.conninfo import make_conninfo
 
@@ -148,28 +147,6 @@ def fake_psql(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", str(POSTGRES_VERSIONS[18]))
 
 
-def test_verify_says_that_all_is_sound(filled: Log, run: Run) -> None:
-    assert objects(run("verify", "--dsn", filled.dsn, "--json").out) == [
-        {"sound": True, "segments": 3, "events": 40, "streams": 2, "position": 3}
-    ]
-    assert run("verify", "--dsn", filled.dsn).out == ("sound: 40 events in 3 segments of 2 streams, up to position 3\n")
-
-
-def test_verify_names_station_stream_and_position_of_a_flipped_byte(filled: Log, run: Run) -> None:
-    with psycopg.connect(filled.dsn) as owner:
-        owner.execute("alter table segments disable trigger all")
-        owner.execute(
-            "update segments set payload = set_byte(payload, 20, get_byte(payload, 20) # 1) where position = 2"
-        )
-    ran = run("verify", "--dsn", filled.dsn)
-    assert ran.code == 1
-    assert ran.out.startswith("broken: station brno: stream brno/yard/track_point, position 2, from sequence 1: ")
-    assert "the log does not verify: 1 breaks. Next: keep this database as it is" in ran.words
-    (broken,) = objects(run("verify", "--dsn", filled.dsn, "--json").out)
-    assert (broken["sound"], broken["station"], broken["stream"], broken["position"]) == (False, "brno", str(YARD), 2)
-
-
-def test_an_empty_log_is_sound_and_has_nothing_to_show(log: Log, run: Run) -> None:
-    assert run("verify", "--dsn", log.dsn).out.startswith("sound: 0 events")
+def test_an_empty_log_has_nothing_to_show(log: Log, run: Run) -> None:
     assert run("tail", "--dsn", log.dsn).out == ""
     assert run("streams", "--dsn", log.dsn, "--json").out == ""

@@ -1,0 +1,214 @@
+"""`vian init`, `vian sign`, `vian verify`: the station's key, its signatures, and whether all holds."""
+
+from typing import Annotated, Any
+
+import typer
+
+from store import (
+    BadProof,
+    ChainBroken,
+    Covered,
+    Verification,
+    Verified,
+    key_id,
+    keys_of_others,
+    known_keys,
+    make_key,
+    verify,
+)
+from vian import options
+from vian.errors import WorldFailed, WrongUsage
+from vian.options import opened, settings_for
+from vian.output import Output
+from vian.signatures import VerifiedNote, has_key, key_path, own_station, rotate, signer_for, signing_station
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands."""
+    app.command(epilog="Example: vian init --station brno-2")(init)
+    app.command(epilog="Example: vian sign")(sign)
+    app.command(name="verify", epilog="Example: vian verify --data-dir /var/lib/vian")(verify_log)
+
+
+def init(
+    is_new_key: Annotated[
+        bool, typer.Option("--new-key", help="Replace the key by a new one, which the old one names as its successor.")
+    ] = False,
+    key_file: options.KeyFile = None,
+    station: options.Station = None,
+    data_dir: options.DataDir = None,
+    dsn: options.Dsn = None,
+    as_json: options.Json = False,
+) -> None:
+    """Make this station's log and its key for signatures; what is there already stays as it is."""
+    settings = settings_for(data_dir, dsn, station=station, key_file=key_file)
+    path = key_path(settings)
+    if is_new_key and not path.exists():
+        raise WrongUsage(f"there is no key in {path} to replace. Next: vian init")
+    with opened(settings, data_dir=data_dir, is_made=True) as log:
+        name = signing_station(log, settings)
+        if is_new_key:
+            rotate(log, settings)
+        key = make_key(path)
+        position = log.head()
+    Output(is_json=as_json).result(
+        {
+            "station": name,
+            "key_id": key.id,
+            "public_key": key.public.hex(),
+            "key_file": str(path),
+            "position": position,
+        },
+        f"station:     {name}\nkey id:      {key.id}\npublic key:  {key.public.hex()}\n"
+        f"key file:    {path} (yours alone: keep a copy apart, and the key id where others can find it)\n"
+        f"log:         position {position}",
+    )
+
+
+def sign(
+    key_file: options.KeyFile = None,
+    station: options.Station = None,
+    data_dir: options.DataDir = None,
+    dsn: options.Dsn = None,
+    as_json: options.Json = False,
+) -> None:
+    """Sign the log as it stands: where each stream is, in which order and when all was recorded."""
+    settings = settings_for(data_dir, dsn, station=station, key_file=key_file)
+    output = Output(is_json=as_json)
+    if not has_key(settings):
+        raise WorldFailed(f"there is no key in {key_path(settings)}. Next: vian init")
+    with opened(settings, data_dir=data_dir) as log:
+        signer = signer_for(log, settings)
+        with output.progress("positions", log.head()) as bar:
+            while not signer.step():
+                bar.at(signer.position)
+            signed = signer.sign()
+    if signed is None:
+        output.result({"signed": False, "position": signer.position}, "nothing new to sign")
+        return
+    statement = signed.statement
+    output.result(
+        {
+            "signed": True,
+            "station": statement.station,
+            "checkpoint": signed.sequence,
+            "position": statement.position,
+            "streams": len(statement.heads),
+            "key_id": key_id(statement.public_key),
+            "time": statement.time,
+        },
+        f"signed: checkpoint {signed.sequence} of station {statement.station}, {len(statement.heads)} streams up to "
+        f"position {statement.position}, with key {key_id(statement.public_key)}",
+    )
+
+
+def verify_log(
+    is_full: Annotated[
+        bool, typer.Option("--full", help="Read the whole log again, not only what came since the last time.")
+    ] = False,
+    key_file: options.KeyFile = None,
+    station: options.Station = None,
+    data_dir: options.DataDir = None,
+    dsn: options.Dsn = None,
+    as_json: options.Json = False,
+) -> None:
+    """Recompute every hash from the stored bytes and check every signature; exit code 1 and the first bad positions."""
+    settings = settings_for(data_dir, dsn, station=station, key_file=key_file)
+    output = Output(is_json=as_json)
+    path = key_path(settings)
+    with opened(settings, data_dir=data_dir) as log, output.progress("positions", log.head()) as bar:
+        note = VerifiedNote(log, settings)
+        found = verify(
+            log,
+            on_segment=lambda segment: bar.at(segment.position),
+            before=None if is_full else _before(note, output),
+            station=own_station(log, settings),
+            trusted=known_keys(path) | keys_of_others(path),
+            save=lambda verified: _note(note, verified, output),
+        )
+    if not found.is_sound:
+        for broken in found.broken:
+            output.result(_broken(broken), f"broken: {broken}")
+        raise WorldFailed(
+            f"the log does not verify: {len(found.broken)} breaks. "
+            "Next: keep this database as it is, and restore the streams named from central or a backup"
+        )
+    assert found.verified is not None, "a sound log can be gone on from"
+    _note(note, found.verified, output)
+    output.result(_sound(found, found.verified), _told(found, found.verified))
+    if not found.covered:
+        output.note("no signature covers it. Next: vian init, then vian sign, or keep vian serve running")
+
+
+def _note(note: VerifiedNote, verified: Verified, output: Output) -> None:
+    try:
+        note.save(verified)
+    except BadProof as error:
+        output.note(f"the next run begins where this one did: {error}")
+
+
+def _before(note: VerifiedNote, output: Output) -> Verified | None:
+    try:
+        return note.load()
+    except BadProof as error:
+        output.note(f"what was verified before does not count, the whole log is read: {error}")
+        return None
+
+
+def _broken(broken: ChainBroken) -> dict[str, Any]:
+    return {
+        "sound": False,
+        "station": broken.stream.station,
+        "stream": str(broken.stream),
+        "position": broken.position,
+        "first_sequence": broken.first_sequence,
+        "reason": broken.reason,
+    }
+
+
+def _sound(found: Verification, verified: Verified) -> dict[str, Any]:
+    return {
+        "sound": True,
+        "segments": verified.segments,
+        "events": verified.events,
+        "streams": found.streams,
+        "position": found.position,
+        "segments_read": found.segments,
+        "signed": [
+            {
+                "station": each.station,
+                "key_id": each.key_id,
+                "is_key_known": each.is_known,
+                "checkpoints": each.checkpoints,
+                "signed_at": each.signed_at,
+                "position": each.position,
+                "streams": each.streams,
+                "events": each.events,
+            }
+            for each in found.covered
+        ],
+    }
+
+
+def _told(found: Verification, verified: Verified) -> str:
+    text = (
+        f"sound: {verified.events} events in {verified.segments} segments of {found.streams} streams, up to position "
+        f"{found.position}"
+    )
+    if found.since:
+        text += f"; up to position {found.since} it was found sound before and not read again (--full does)"
+    return "\n".join([text, *map(_signed, found.covered)])
+
+
+def _signed(covered: Covered) -> str:
+    order = (
+        f"order and times of recording up to position {covered.position}"
+        if covered.position is not None
+        else "no order: it is another log's station, or --station NAME is wanted"
+    )
+    known = "known here" if covered.is_known else "not known here: compare it with what the station's vian init says"
+    return (
+        f"signed: station {covered.station}, {covered.events} events of {covered.streams} streams, {order}; "
+        f"{covered.checkpoints} checkpoints, the newest of {covered.signed_at:%Y-%m-%dT%H:%M:%SZ}; "
+        f"key {covered.key_id} ({known})"
+    )
