@@ -12,9 +12,9 @@ import pytest
 
 from store import Log, LogUnavailable, WrongMajor, open_log, verify
 from store.embedded import MAJOR, EmbeddedServer
+from tests.contracts.writers import open_append_and_wait, started
 from tests.store.samples import GATE, append
 from tests.store.servers import kill_server
-from tests.store.writers import open_append_and_wait, started
 
 ROOT = Path(__file__).parents[2]
 
