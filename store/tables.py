@@ -33,6 +33,13 @@ log_head = sa.Table(
         nullable=False,
         comment="epoch of this log's own streams; grows with each restore",
     ),
+    sa.Column(
+        "recorded_at",
+        TIMESTAMP,
+        nullable=False,
+        server_default=sa.text("'epoch'"),
+        comment="newest recorded_at; the next is never earlier, though the clock be set back",
+    ),
     comment="One row: where the log stands. Its lock orders commits.",
 )
 
@@ -96,6 +103,18 @@ projections = sa.Table(
     metadata,
     sa.Column("name", sa.Text, primary_key=True, comment="row table, named as its event type"),
     comment="The row tables: rebuildable projections of segments.",
+)
+
+maintenance = sa.Table(
+    "maintenance",
+    metadata,
+    sa.Column("id", sa.BigInteger, sa.Identity(always=True), primary_key=True),
+    sa.Column("at", TIMESTAMP, nullable=False, server_default=sa.func.now(), comment="when it was done (UTC)"),
+    sa.Column("action", sa.Text, nullable=False, comment="backed_up, restore_began, restored or verified"),
+    sa.Column("place", sa.Text, nullable=False, comment="folder of the backup"),
+    sa.Column("position", sa.BigInteger, nullable=False, comment="position up to which it holds"),
+    sa.CheckConstraint("action in ('backed_up', 'restore_began', 'restored', 'verified')", name="maintenance_action"),
+    comment="Backups of this log, and the restore that it came from.",
 )
 
 ENVELOPE_COLUMNS = ("station", "source", "type", "subject", "time", "sequence", "position", "recorded_at")

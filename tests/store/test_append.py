@@ -1,5 +1,7 @@
 """The append function on PostgreSQL: its errors, and what a writer cannot slip into it."""
 
+from datetime import timedelta
+
 import psycopg
 import pytest
 
@@ -58,3 +60,20 @@ def test_a_temporary_table_of_the_writer_does_not_stand_in_for_the_logs(log: Log
             Transaction(connection, log.epoch).append([draft(GATE, 1, 2)], [0])
         connection.execute("discard temp")
     assert log.stream_head(GATE).sequence == 2
+
+
+@on_both
+def test_recorded_at_does_not_go_back_with_the_clock(log: Log) -> None:
+    append(log, GATE, 1)
+    with owner(log) as connection:
+        # The clock stood a day ahead when the newest segment was recorded, and was then set right.
+        connection.execute("update log_head set recorded_at = recorded_at + interval '1 day'")
+    ahead = query(log, "select recorded_at from log_head")[0][0]
+    append(log, GATE, 1, 1)
+    assert [segment.recorded_at for segment in log.read_all(2)] == [ahead, ahead]
+    with owner(log) as connection:
+        connection.execute("update log_head set recorded_at = recorded_at - interval '2 days'")
+    append(log, YARD, 1)
+    *_, newest = log.read_all()
+    assert ahead - timedelta(days=1) < newest.recorded_at < ahead, "once the clock has caught up it is told again"
+    assert query(log, "select recorded_at from log_head") == [(newest.recorded_at,)]
