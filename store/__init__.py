@@ -5,7 +5,10 @@ checkpoints and verify are its methods. Rows for SQL are projections of segments
 """
 
 from store.appender import Appender
+from store.backup import Backup, back_up
 from store.errors import (
+    BackupDamaged,
+    BackupUnusable,
     BadRequest,
     ChainBroken,
     LogUnavailable,
@@ -16,12 +19,16 @@ from store.errors import (
 )
 from store.log import Appended, Checkpoint, Log, StreamHead, Transaction, open_log
 from store.projector import Projector
+from store.restoring import Restore, note_restored, restore, verify_restored
 from store.subscription import Delivery, Subscription
 from store.verification import Verification, verify
 
 __all__ = [
     "Appended",
     "Appender",
+    "Backup",
+    "BackupDamaged",
+    "BackupUnusable",
     "BadRequest",
     "ChainBroken",
     "Checkpoint",
@@ -29,6 +36,7 @@ __all__ = [
     "Log",
     "LogUnavailable",
     "Projector",
+    "Restore",
     "SchemaMismatch",
     "SequenceConflict",
     "StoreError",
@@ -37,6 +45,10 @@ __all__ = [
     "Transaction",
     "Verification",
     "WrongMajor",
+    "back_up",
+    "note_restored",
     "open_log",
+    "restore",
     "verify",
+    "verify_restored",
 ]

@@ -6,6 +6,8 @@ StoreError
 ├── SchemaMismatch       the database's schema is newer than this program, or not ours
 ├── SequenceConflict     a stream does not stand where the writer expected
 ├── ChainBroken          stored or received bytes do not carry the hash that they should
+├── BackupUnusable       a backup cannot be made there, or cannot be restored here
+│   └── BackupDamaged    its files are not what its manifest says
 └── BadRequest           a call asked for what the log does not do
 """
 
@@ -32,6 +34,14 @@ class SchemaMismatch(StoreError):
 
 class BadRequest(StoreError):
     """A call asked for what the log does not do."""
+
+
+class BackupUnusable(StoreError):
+    """A backup cannot be made in this folder, or cannot be restored into this log."""
+
+
+class BackupDamaged(BackupUnusable):
+    """The files of a backup are not what its manifest says."""
 
 
 @dataclass(eq=False)
