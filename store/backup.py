@@ -20,7 +20,6 @@ from store.errors import BackupUnusable, ChainBroken
 from store.log import Log
 from store.maintenance import BACKED_UP, note
 
-_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 SPARE_BYTES = 32 * 2**20
 """Room that a backup leaves on its disk."""
 
@@ -162,7 +161,9 @@ def _moment(log: Log) -> _Moment:
     """Head, streams and checkpoints in one snapshot: a checkpoint never speaks of output that is not there."""
     with log.connection() as connection, connection.transaction():
         connection.execute("set transaction isolation level repeatable read read only")
-        head = connection.execute("select position, epoch, recorded_at from log_head").fetchone()
+        head = connection.execute(
+            "select position, epoch, case when position > 0 then recorded_at else 'epoch' end from log_head"
+        ).fetchone()
         assert head is not None, "a log has its one row"
         checkpoints = connection.execute(
             "select name, position, state from checkpoints order by name", binary=True
@@ -190,7 +191,7 @@ def _add_segments(
         position=0,
         events=0,
         last_chain_hash=GENESIS.hex(),
-        recorded_at=_EPOCH,
+        recorded_at=moment.recorded_at,
         segments=(),
         checkpoints=None,
         streams=(),

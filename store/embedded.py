@@ -114,9 +114,9 @@ def _initialise(pgdata: Path) -> None:
         found = version_file.read_text().strip()
         if found != str(MAJOR):
             raise WrongMajor(
-                f"{pgdata} was made by PostgreSQL {found}, this ViAn runs PostgreSQL {MAJOR}. Next: dump it with "
-                f"PostgreSQL {found}'s pg_dump, start ViAn with an empty --data-dir, and restore the dump there; "
-                "or open it with its own server and --dsn"
+                f"{pgdata} was made by PostgreSQL {found}, this ViAn runs PostgreSQL {MAJOR}. Next: run "
+                f"its own PostgreSQL {found} on it and vian backup FOLDER --dsn URL (or the ViAn that made it and vian "
+                "backup FOLDER), then vian restore FOLDER --verify with a new --data-dir"
             )
         return
     if pgdata.exists() and any(pgdata.iterdir()):

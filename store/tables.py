@@ -37,8 +37,8 @@ log_head = sa.Table(
         "recorded_at",
         TIMESTAMP,
         nullable=False,
-        server_default=sa.text("'epoch'"),
-        comment="newest recorded_at; the next is never earlier, though the clock be set back",
+        server_default=sa.text("'-infinity'"),
+        comment="when the newest segment was taken (UTC); -infinity when there is none",
     ),
     comment="One row: where the log stands. Its lock orders commits.",
 )

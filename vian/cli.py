@@ -15,7 +15,7 @@ from rich.text import Text
 from typer.core import TyperGroup
 
 from vian import logs
-from vian.commands import backup, demo, doctor, extract, log, query, rules, serve, station, sync
+from vian.commands import backup, demo, doctor, extract, log, query, rules, serve, station, sync, upgrade
 from vian.errors import EXPECTED, exit_code
 from vian.version import VERSION
 
@@ -56,7 +56,7 @@ app = typer.Typer(
 app.add_typer(extract.app, name="extract")
 app.add_typer(rules.app, name="rules")
 app.add_typer(station.app, name="station")
-for module in (demo, query, log, sync, serve, doctor, backup):
+for module in (demo, query, log, sync, serve, doctor, backup, upgrade):
     module.register(app)
 
 

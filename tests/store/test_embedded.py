@@ -41,7 +41,9 @@ def test_the_directory_of_another_major_is_refused_and_left_alone(data_dir: Path
     pgdata = data_dir / "pg"
     pgdata.mkdir(parents=True)
     (pgdata / "PG_VERSION").write_text("15\n")
-    with pytest.raises(WrongMajor, match=f"made by PostgreSQL 15, this ViAn runs PostgreSQL {MAJOR}. Next: dump it"):
+    with pytest.raises(
+        WrongMajor, match=f"by PostgreSQL 15, this ViAn runs PostgreSQL {MAJOR}. Next: run its own Postg"
+    ):
         open_log(data_dir=data_dir)
     assert [path.name for path in pgdata.iterdir()] == ["PG_VERSION"]
 
