@@ -182,12 +182,18 @@ def read_checkpoints(folder: Path, file: File) -> list[tuple[str, int, bytes]]:
 
 
 def restores(folder: Path) -> list[Restored]:
-    """What was restored from the backup, oldest first; a torn last line is left out."""
+    """What was restored from the backup, oldest first; a torn last line is left out.
+
+    Raises:
+        BackupDamaged: It cannot be read.
+    """
     found = []
     try:
-        lines = (folder / RESTORES).read_text().splitlines()
+        lines = (folder / RESTORES).read_text(encoding="utf-8").splitlines()
     except FileNotFoundError:
         return []
+    except (OSError, UnicodeDecodeError) as error:
+        raise BackupDamaged(f"{folder / RESTORES} cannot be read: {error}") from error
     for line in lines:
         try:
             found.append(Restored.model_validate_json(line))

@@ -52,6 +52,17 @@ class Server:
             for statement in statements:
                 connection.execute(statement)
 
+    def wait_for(self, wanted: dict[str, str]) -> None:
+        """Return when new connections have these settings: a reload takes a moment to reach them."""
+        names, found = sorted(wanted), {}
+        while found != wanted:
+            with psycopg.connect(self.dsn("postgres"), autocommit=True) as connection:
+                found = dict(
+                    connection.execute(
+                        "select name, setting from pg_settings where name = any(%s)", (names,)
+                    ).fetchall()
+                )
+
     def create_database(self, template: str = TEMPLATE) -> str:
         """Name of a new database, a clone of the template."""
         name = f"log_{next(self._numbers)}"

@@ -164,7 +164,8 @@ class _Run:
 
     def whole(self) -> Extraction:
         """Extract to the end of the video."""
-        first_track_id = 1 + self._head_at_start(self._job.stream(TrackPoint))
+        points = self._job.stream(TrackPoint)
+        first_track_id = 1 + self._events_of_earlier_epochs(points) + self._head_at_start(points)
         steps = motion.extract(
             video.frames(self._job.path),
             self._job.config,
@@ -223,6 +224,11 @@ class _Run:
     def _head_at_start(self, stream: StreamName) -> int:
         """Where the stream stood when the process started."""
         return self._job.log.stream_head(stream, at_position=self._at_start).sequence
+
+    def _events_of_earlier_epochs(self, stream: StreamName) -> int:
+        """How many events the stream had before the log was last restored: they stay, and their tracks too."""
+        log = self._job.log
+        return sum(head.sequence for head in log.streams() if head.stream == stream and head.epoch < log.epoch)
 
     def _state(self) -> dict[str, Any]:
         return {

@@ -3,8 +3,8 @@
 Contract: judges facts of `store.health` and `store.maintenance`; each finding ends with the next step.
 """
 
-from collections.abc import Iterator, Mapping
-from datetime import UTC, datetime, timedelta
+from collections.abc import Callable, Iterator, Mapping
+from datetime import datetime, timedelta
 from pathlib import Path
 
 from store import BackupDamaged, Log, health, maintenance
@@ -12,6 +12,7 @@ from store.backup_files import restores
 from store.maintenance import Care
 from store.projector import NAME as PROJECTOR
 from vian.findings import Finding, Verdict
+from vian.replication import utc_now
 
 GROWTH_WINDOW = timedelta(days=7)
 GROWTH_LEAST = timedelta(hours=1)
@@ -37,18 +38,19 @@ _DURABLE = ("on", "remote_apply", "remote_write", "local")
 """Values of synchronous_commit under which a commit is on this server's disk."""
 
 
-def check_log(log: Log, free_bytes: int | None) -> Iterator[Finding]:
+def check_log(log: Log, free_bytes: int | None, now: Callable[[], datetime] = utc_now) -> Iterator[Finding]:
     """The findings about an open log.
 
     Args:
         log: The log.
         free_bytes: Room on its disk, if that can be seen.
+        now: This machine's clock.
     """
     yield from _settings(log)
-    yield _clock(log)
+    yield _clock(log, now)
     yield _horizon(log, free_bytes)
     yield _lag(log)
-    yield from _care(log)
+    yield from _care(log, now())
 
 
 def _settings(log: Log) -> Iterator[Finding]:
@@ -86,10 +88,10 @@ def _set(name: str, value: str) -> str:
     return f"alter system set {name} = '{value}'; select pg_reload_conf();"
 
 
-def _clock(log: Log) -> Finding:
-    before = datetime.now(UTC)
+def _clock(log: Log, now: Callable[[], datetime]) -> Finding:
+    before = now()
     told = health.clock(log)
-    after = datetime.now(UTC)
+    after = now()
     offset = max((before - told.now).total_seconds(), (told.now - after).total_seconds(), 0.0)
     if offset > CLOCK_SECONDS_MAX:
         return Finding(
@@ -145,7 +147,7 @@ def _lag(log: Log) -> Finding:
     )
 
 
-def _care(log: Log) -> Iterator[Finding]:
+def _care(log: Log, now: datetime) -> Iterator[Finding]:
     done = maintenance.newest(log)
     began, restored = done.get(maintenance.RESTORE_BEGAN), done.get(maintenance.RESTORED)
     if began and not restored:
@@ -157,7 +159,7 @@ def _care(log: Log) -> Iterator[Finding]:
         )
     elif restored:
         yield _restored(restored, done.get(maintenance.VERIFIED))
-    yield from _backup(log, done.get(maintenance.BACKED_UP))
+    yield from _backup(log, done.get(maintenance.BACKED_UP), now)
 
 
 def _restored(restored: Care, verified: Care | None) -> Finding:
@@ -167,22 +169,22 @@ def _restored(restored: Care, verified: Care | None) -> Finding:
     return Finding("restore", Verdict.NOTE, f"{came} and was not read back. Next: vian verify")
 
 
-def _backup(log: Log, last: Care | None) -> Iterator[Finding]:
+def _backup(log: Log, last: Care | None, now: datetime) -> Iterator[Finding]:
     head = log.head()
     if last is None:
         if head:
             yield Finding("backup", Verdict.NOTE, "there is none. Next: vian backup FOLDER, on another disk")
         return
-    age = datetime.now(UTC) - last.at
+    age = now - last.at
     behind = head - last.position
     said = f"{_span(age)} ago to {last.place}, up to position {last.position}; {behind} segments since"
     is_old = age > BACKUP_AGE_MAX and behind
     next_step = f". Next: vian backup {last.place}" if is_old else ""
     yield Finding("backup", Verdict.NOTE if is_old else Verdict.OK, said + next_step)
-    yield _drill(last.place)
+    yield _drill(last.place, now)
 
 
-def _drill(place: Path) -> Finding:
+def _drill(place: Path, now: datetime) -> Finding:
     """When a restore of the backup was last verified; the backup's folder knows."""
     next_step = f"Next: vian restore {place} --verify, with --data-dir a new folder"
     try:
@@ -198,7 +200,7 @@ def _drill(place: Path) -> Finding:
     return Finding(
         "verified restore",
         Verdict.OK,
-        f"{_span(datetime.now(UTC) - newest.at)} ago, of {place} up to position {newest.position}",
+        f"{_span(now - newest.at)} ago, of {place} up to position {newest.position}",
     )
 
 

@@ -34,6 +34,7 @@ READERS = [
     ["tail"],
     ["query", "select 1"],
     ["verify"],
+    ["backup", "elsewhere"],
     ["project"],
     ["psql"],
     ["sync", "--once", "--central", "http://x", "--token-file", "token"],
@@ -42,8 +43,8 @@ READERS = [
 
 def test_the_commands_are_those_that_there_should_be() -> None:
     assert {" ".join(path) for path in ALL} == {
-        "demo", "doctor", "extract motion", "project", "psql", "query", "rules check", "rules run", "serve",
-        "station add", "streams", "sync", "tail", "verify",
+        "backup", "demo", "doctor", "extract motion", "project", "psql", "query", "restore", "rules check", "rules run",
+        "serve", "station add", "streams", "sync", "tail", "upgrade", "verify",
     }  # fmt: skip
 
 
