@@ -19,8 +19,12 @@ from patterns.rule import Rule
 from patterns.text import Document, Passage
 
 FILE_SIZE_MOST = 1_000_000
+DEPTH_MOST = 20
+"""Deepest nesting of lists and mappings in a rule file; the format needs 4."""
 
 KeyPath = tuple[str, ...]
+
+_TOO_DEEP = f"a rule file nests at most {DEPTH_MOST} lists and mappings in each other, and none in itself"
 
 
 def load_rules(path: Path) -> list[Rule]:
@@ -96,6 +100,8 @@ def _composed(document: Document) -> Node | None:
     except yaml.reader.ReaderError as error:
         line = document.text.count("\n", 0, error.position)
         raise RuleError(f"not YAML: {error.reason}", document.place(line, 0)) from error
+    except RecursionError as error:
+        raise RuleError(_TOO_DEEP, document.place(0, 0)) from error
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         line, column = (mark.line, mark.column) if mark else (0, 0)
@@ -117,8 +123,10 @@ def _note(node: Node, path: KeyPath, document: Document, passages: dict[KeyPath,
     """Notes where the node and everything in it stands.
 
     Raises:
-        RuleError: A key stands twice in one mapping.
+        RuleError: A key stands twice in one mapping or is none, or the nesting is too deep.
     """
+    if len(path) > DEPTH_MOST:
+        raise RuleError(_TOO_DEEP, document.place(node.start_mark.line, node.start_mark.column))
     passages[path] = _passage(node, document)
     if isinstance(node, SequenceNode):
         for index, item in enumerate(node.value):
@@ -127,8 +135,10 @@ def _note(node: Node, path: KeyPath, document: Document, passages: dict[KeyPath,
         return
     seen = set()
     for key, value in node.value:
+        mark = key.start_mark
+        if not isinstance(key, ScalarNode):
+            raise RuleError("a key must be a word, got a list or a mapping", document.place(mark.line, mark.column))
         if key.value in seen:
-            mark = key.start_mark
             raise RuleError(f"the key {key.value!r} stands twice", document.place(mark.line, mark.column))
         seen.add(key.value)
         _note(value, (*path, key.value), document, passages)

@@ -81,9 +81,9 @@ class _Overtaken(Exception):
     """Another processor moved a rule's checkpoint: this one's state is stale."""
 
 
-def checkpoint_name(rule: Rule) -> str:
-    """Name of a rule's checkpoint in the log."""
-    return f"rule/{rule.rule}/{rule.version}"
+def checkpoint_name(station: str, rule: Rule) -> str:
+    """Name of the checkpoint of a station's rule in the log."""
+    return f"rule/{station}/{rule.rule}/{rule.version}"
 
 
 def schemas(catalogue: Catalogue) -> dict[str, pa.Schema]:
@@ -289,7 +289,7 @@ class Processor:
                 running.saved = max(running.saved, position)
 
     def _save(self, transaction: Transaction, running: _Running, position: int) -> None:
-        name = checkpoint_name(running.rule)
+        name = checkpoint_name(self._station, running.rule)
         stored = transaction.checkpoint(name).position
         if stored != running.saved:
             raise _Overtaken(f"rule {running.rule.rule} was moved from position {running.saved} to {stored}")
@@ -301,7 +301,7 @@ class Processor:
 
     def _restored(self, rule: Rule) -> _Running:
         run = RuleRun(bind(rule, self._schemas))
-        checkpoint = self._log.checkpoint(checkpoint_name(rule))
+        checkpoint = self._log.checkpoint(checkpoint_name(self._station, rule))
         if checkpoint.position:
             run.restore(checkpoint.state)
         return _Running(rule, run, checkpoint.position)

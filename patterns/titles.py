@@ -1,5 +1,6 @@
 """A situation's title: the rule's text with names in braces, and values in their place."""
 
+import re
 from datetime import UTC, datetime, timedelta
 from string import Formatter
 
@@ -8,6 +9,7 @@ from patterns.rule import Rule
 
 Scalar = bool | int | float | str | datetime | timedelta | None
 
+_LONG_NUMBER = re.compile(r"\d{4,}")
 _SAMPLES: dict[Kind, Scalar] = {
     Kind.BOOL: True, Kind.INT: 1, Kind.FLOAT: 1.0, Kind.STRING: "a", Kind.TIME: datetime(2026, 1, 1, tzinfo=UTC),
     Kind.DURATION: timedelta(seconds=1), Kind.NULL: None,
@@ -25,6 +27,8 @@ def title_fields(rule: Rule) -> list[str]:
         for _, name, spec, conversion in Formatter().parse(rule.title):
             if name is None:
                 continue
+            if _LONG_NUMBER.search(spec or ""):
+                raise ValueError(f"a width or precision has at most 3 digits, got {spec!r}")
             if not name.isidentifier() or conversion or "{" in (spec or ""):
                 raise ValueError(f"wanted {{name}} or {{name:format}}, got {{{name}}}")
             names.append(name)

@@ -12,6 +12,7 @@ import atexit
 import fcntl
 import logging
 import os
+import re
 import shutil
 import subprocess
 import time
@@ -22,7 +23,7 @@ from pathlib import Path
 
 import psutil
 
-from store.errors import LogUnavailable, WrongMajor
+from store.errors import BadRequest, LogUnavailable, WrongMajor
 
 with warnings.catch_warnings():
     # platformdirs warns where a session has no runtime directory, and falls back by itself.
@@ -40,6 +41,14 @@ class EmbeddedServer:
     """A running embedded server; `close` it when done."""
 
     def __init__(self, data_dir: Path) -> None:
+        """Start the server of a data directory, which is made if need be.
+
+        Raises:
+            BadRequest: The folder's name is one that the server cannot bear.
+            WrongMajor: The directory was made by another major version of PostgreSQL.
+            LogUnavailable: It does not start.
+        """
+        _check_name(data_dir)
         self.data_dir = data_dir
         self._server: PostgresServer | None = None
         self.ensure_running()
@@ -86,6 +95,20 @@ class EmbeddedServer:
         if server is not None:
             server.__exit__(None, None, None)
             _forget_if_unused(server)
+
+
+def _check_name(data_dir: Path) -> None:
+    """Refuse a folder's name that the wheel, which hands it to a shell and an address as it is, cannot bear.
+
+    Raises:
+        BadRequest: The name has a space, a quote, a percent sign or the like.
+    """
+    strange = sorted(set(re.sub(r"[\w./+#@:,=-]", "", str(data_dir))))
+    if strange:
+        raise BadRequest(
+            f"the embedded PostgreSQL cannot live in {str(data_dir)!r}: its name has {' '.join(map(repr, strange))}, "
+            "wanted letters, digits and . / + # @ : , = _ -. Next: give another folder with --data-dir"
+        )
 
 
 def _forget_if_unused(server: PostgresServer) -> None:

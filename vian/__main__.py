@@ -1,5 +1,5 @@
 """`python -m vian` is the command `vian`."""
 
-from vian.cli import main
+from vian.entry import main
 
 main()

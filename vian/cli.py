@@ -5,7 +5,6 @@ was stored stays; the same command goes on where it stopped).
 """
 
 import os
-import signal
 import sys
 from typing import Annotated, Any
 
@@ -14,12 +13,14 @@ from rich.console import Console
 from rich.text import Text
 from typer.core import TyperGroup
 
+from events import CorruptSegment
 from vian import logs
 from vian.commands import backup, demo, doctor, extract, log, query, rules, serve, station, sync, upgrade
+from vian.entry import INTERRUPTED
 from vian.errors import EXPECTED, exit_code
 from vian.version import VERSION
 
-INTERRUPTED = 130
+_LOOK_CLOSER = ". Next: vian verify, which says what is wrong with which position"
 
 
 class Commands(TyperGroup):
@@ -33,7 +34,8 @@ class Commands(TyperGroup):
         try:
             return super().invoke(ctx)
         except EXPECTED as error:
-            _tell(str(error))
+            is_unexplained = isinstance(error, CorruptSegment) and "Next: " not in str(error)
+            _tell(str(error) + (_LOOK_CLOSER if is_unexplained else ""))
             raise typer.Exit(exit_code(error)) from error
         except BrokenPipeError as error:
             # The reader of our output has gone (`vian tail | head`): leave quietly.
@@ -75,13 +77,6 @@ def root(
 ) -> None:
     """ViAn: the event-sourced metadata store for video with an online situation-pattern engine."""
     logs.configure(as_json=False, level=10 if verbose else 30)
-
-
-def main() -> None:
-    """Run the command line and leave with its exit code."""
-    # Services are ended with SIGTERM: it shall end a command like Ctrl-C, so that an embedded PostgreSQL stops too.
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
-    app()
 
 
 def _tell(text: str) -> None:

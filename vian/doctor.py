@@ -25,11 +25,12 @@ PACKAGES = ("events", "store", "patterns", "extractors", "sync", "migrations", "
 DISK_FREE_MIB_MIN = 500
 
 
-def examine(settings: Settings, open_existing: Callable[[], Log]) -> Iterator[Finding]:
+def examine(settings: Settings, open_existing: Callable[[], Log], *, is_embedded: bool) -> Iterator[Finding]:
     """The findings, one after the other.
 
     Args:
         settings: The installation's settings.
+        is_embedded: Whether the log is that of the data directory, not that of an address.
         open_existing: Opens the log; called only when there is one.
     """
     yield Finding("version", Verdict.OK, f"ViAn {VERSION}, Python {sys.version.split()[0]}")
@@ -37,7 +38,7 @@ def examine(settings: Settings, open_existing: Callable[[], Log]) -> Iterator[Fi
         "settings", Verdict.OK, f"from {config_file()}" if config_file().exists() else "defaults and environment"
     )
     yield from _packages()
-    if settings.dsn is None:
+    if is_embedded:
         yield from _data_dir(settings.data_dir)
         if not has_log(settings.data_dir):
             yield Finding(

@@ -8,6 +8,7 @@ events; run again after its end it does nothing. What an extractor said before a
 
 import hashlib
 import json
+import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
@@ -15,6 +16,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from events import (
+    ActivityInterval,
     EventBatch,
     EventType,
     ProcessFailed,
@@ -23,6 +25,7 @@ from events import (
     ProcessStarted,
     Producer,
     StreamName,
+    TrackEnded,
     TrackPoint,
     VideoAdded,
     batch_of,
@@ -41,8 +44,14 @@ from vian.exclusive import exclusively
 
 E = TypeVar("E", bound=EventType)
 
+_SAID_BY_A_PROCESS = (TrackPoint, TrackEnded, ActivityInterval, ProcessProgressed, ProcessFinished, ProcessFailed)
+"""Event types of the streams that a process appends to while it runs."""
+
 PROGRESS_EVERY_S = 10.0
 """Media time between two `process_progressed`, in seconds."""
+
+_YEARS = range(1970, 2200)
+"""Years in which a video can have been recorded: clocks that were never set say 1904, or 9999."""
 
 Stamp = Callable[[datetime], datetime]
 """From the media's time to the time that a process's event bears."""
@@ -155,7 +164,6 @@ class _Run:
         self._appender = Appender(
             job.log, _producer(job), wait_s=job.database_wait_s, on_wait=lambda error: job.note(f"waiting: {error}")
         )
-        self._resumed: set[StreamName] = set()
         self._frames = 0
         self._time_us = 0
         self._events = 0
@@ -164,8 +172,7 @@ class _Run:
 
     def whole(self) -> Extraction:
         """Extract to the end of the video."""
-        points = self._job.stream(TrackPoint)
-        first_track_id = 1 + self._events_of_earlier_epochs(points) + self._head_at_start(points)
+        first_track_id = 1 + self._events_of_earlier_epochs(self._job.stream(TrackPoint)) + self._resume_all()
         steps = motion.extract(
             video.frames(self._job.path),
             self._job.config,
@@ -212,18 +219,21 @@ class _Run:
         return [batch_of(said)] if said else []
 
     def _append(self, batches: list[EventBatch]) -> None:
-        placed = [(self._job.stream(batch.type), batch) for batch in batches if len(batch)]
-        for stream in {stream for stream, _ in placed} - self._resumed:
-            self._appender.resume_at(stream, self._head_at_start(stream))
-            self._resumed.add(stream)
-        self._appender.append(placed)
+        self._appender.append([(self._job.stream(batch.type), batch) for batch in batches if len(batch)])
 
     def _say(self, event: EventType) -> None:
         self._append([batch_of([event])])
 
-    def _head_at_start(self, stream: StreamName) -> int:
-        """Where the stream stood when the process started."""
-        return self._job.log.stream_head(stream, at_position=self._at_start).sequence
+    def _resume_all(self) -> int:
+        """Let each stream go on from where it stood when the process started; the sequence of the track points."""
+        # All at once, before the first frame: later the database may be away, and only appends wait for it.
+        heads = {
+            event_type: self._job.log.stream_head(self._job.stream(event_type), at_position=self._at_start)
+            for event_type in _SAID_BY_A_PROCESS
+        }
+        for head in heads.values():
+            self._appender.resume_at(head.stream, head.sequence)
+        return heads[TrackPoint].sequence
 
     def _events_of_earlier_epochs(self, stream: StreamName) -> int:
         """How many events the stream had before the log was last restored: they stay, and their tracks too."""
@@ -252,7 +262,7 @@ def _added(job: Job, info: VideoInfo) -> VideoAdded:
     event = VideoAdded(
         time=job.stamp(started_at),
         video=info.sha256,
-        path=str(job.path),
+        path=os.fsencode(job.path).decode(errors="replace"),  # a name need not be UTF-8; it is for people
         width=info.width,
         height=info.height,
         fps=info.fps,
@@ -276,8 +286,12 @@ def _check_start(job: Job, known: VideoAdded) -> None:
 def _started_at(job: Job, info: VideoInfo) -> datetime:
     """Wall-clock time of the first frame, by the best there is."""
     if job.started_at is not None:
+        if not _is_plausible(job.started_at):
+            raise WrongUsage(
+                f"--start must lie in the years {_YEARS.start} to {_YEARS.stop - 1}, got {job.started_at.isoformat()}"
+            )
         return job.started_at
-    if info.creation_time is not None:
+    if info.creation_time is not None and _is_plausible(info.creation_time):
         return info.creation_time
     modified = datetime.fromtimestamp(job.path.stat().st_mtime, UTC)
     job.note(
@@ -285,6 +299,11 @@ def _started_at(job: Job, info: VideoInfo) -> datetime:
         "Next time: --start TIME"
     )
     return modified
+
+
+def _is_plausible(start: datetime) -> bool:
+    """Whether a video can have been recorded then; all times that follow from it can be stored."""
+    return start.year in _YEARS
 
 
 def _give_up_unfinished(job: Job, added: VideoAdded, successor: str) -> None:

@@ -85,4 +85,7 @@ def time_of(option: str, text: str | None) -> datetime | None:
         time = datetime.fromisoformat(text)
     except ValueError as error:
         raise WrongUsage(f"{option} must be a time such as 2026-01-31T12:00:00Z, got {text!r}") from error
-    return time.replace(tzinfo=UTC) if time.tzinfo is None else time.astimezone(UTC)
+    try:
+        return time.replace(tzinfo=UTC) if time.tzinfo is None else time.astimezone(UTC)
+    except OverflowError as error:
+        raise WrongUsage(f"{option} must lie in the years 1 to 9999 of UTC, got {text!r}") from error

@@ -71,7 +71,7 @@ def query(log: Log, sql: str, scope: Scope = Scope()) -> pa.Table:
 def connect(log: Log, sql: str, scope: Scope) -> duckdb.DuckDBPyConnection:
     """A DuckDB connection that has the tables that the query names."""
     # Nothing is downloaded at run time; what DuckDB's wheel has built in is enough.
-    connection = duckdb.connect(config={"autoinstall_known_extensions": False})
+    connection = duckdb.connect(config={"autoinstall_known_extensions": False, "python_enable_replacements": False})
     connection.execute("set timezone = 'UTC'")
     try:
         names = connection.get_table_names(sql)

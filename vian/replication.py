@@ -23,6 +23,11 @@ REQUEST_SECONDS_MAX = 30.0
 DEFAULT_PLAN = (
     {"stream": "*/*/situation_detected", "priority": "situations"},
     {"stream": "*/*/rule_deployed", "priority": "situations"},
+    # What the points that follow rest on goes before them, and what says that there are no more, behind.
+    {"stream": "*/*/video_added", "priority": "situations"},
+    {"stream": "*/*/process_started", "priority": "situations"},
+    {"stream": "*/*/process_finished", "priority": "media"},
+    {"stream": "*/*/process_failed", "priority": "media"},
     {"stream": "*/*/track_ended", "priority": "tracks"},
     {"stream": "*/*/*", "priority": "points"},
 )

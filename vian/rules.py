@@ -60,8 +60,8 @@ def deploy_all(log: Log, station: str, rules: Sequence[Rule]) -> list[Rule]:
 def processor_part(log: Log, station: str, path: Path) -> Part:
     """The rules of a file or folder, deployed and run as a supervised part."""
     rules = load_all([path])
-    deploy_all(log, station, rules)
     processor = Processor(log, station, rules, now=utc_now)
+    deploy_all(log, station, rules)  # only once it is known that they fit
     told: set[str] = set()
 
     def step() -> None:

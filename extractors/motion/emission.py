@@ -16,6 +16,7 @@ import numpy.typing as npt
 import pyarrow as pa
 
 from events import ActivityInterval, EventBatch, TrackEnded, TrackPoint, batch_of, schema_of
+from events.segment import microseconds
 from extractors.motion.config import MotionConfig
 from extractors.motion.tracks import Observed, Track
 
@@ -191,7 +192,7 @@ class Emission:
     def _point_batch(self) -> EventBatch:
         schema = schema_of(TrackPoint)
         times, track_ids, frames, rows = zip(*self._points, strict=True)
-        start_us = round(self._start_time.timestamp() * 1e6)
+        start_us = microseconds(self._start_time)
         names = ("x", "y", "x1", "y1", "x2", "y2", "vx", "vy", "confidence")
         columns: dict[str, npt.NDArray[np.generic]] = {
             "time": np.array(times, np.int64) + start_us,

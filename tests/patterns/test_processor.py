@@ -151,7 +151,7 @@ def test_a_new_processor_for_every_segment_finds_the_same(make_log: MakeLog, wal
     log = make_log()
     walkers(log)
     last = log.head()
-    while log.checkpoint(checkpoint_name(rule())).position < last:
+    while log.checkpoint(checkpoint_name(STATION, rule())).position < last:
         processor = Processor(log, STATION, [rule()])
         processor._subscription._limit = 1
         processor.step()

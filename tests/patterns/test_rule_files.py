@@ -71,6 +71,7 @@ def test_a_rule_file_says_all_of_it() -> None:
         ("once_per: [key]", "once_per: [kay]", "10:18", "once_per: 'kay' is neither a partition column nor a measure"),
         ("{subject}", "{subjekt}", "3:9", "title: unknown name {subjekt}; there are: flag"),
         ("{subject}", "{subject", "3:9", "title:"),
+        ("{subject}", "{subject:>9999999999}", "3:9", "title: a width or precision has at most 3 digits"),
         ("{subject}", "{subject.upper}", "3:9", "title: wanted {name} or {name:format}, got {subject.upper}"),
         ("{subject}", "{subject!r}", "3:9", "title: wanted {name} or {name:format}"),
         ("{subject}", "{subject:.2f}", "3:9", "title: Unknown format code 'f'"),
@@ -197,3 +198,16 @@ def test_a_rule_made_in_a_program_points_into_its_own_sql() -> None:
     assert rule.path is None
     with pytest.raises(RuleError, match="<a>:1:1: once_per"):
         raise rule.error("once_per", "version")
+
+
+@pytest.mark.parametrize(
+    "text,message",
+    [
+        (GOOD.replace("params:", "? [a, b]\n: c\nparams:"), "a key must be a word, got a list or a mapping"),
+        (GOOD + "more: " + "[" * 3000 + "]" * 3000, "nests at most 20 lists and mappings"),
+        (GOOD + "more: " + "[" * 40 + "]" * 40, "nests at most 20 lists and mappings"),
+        (GOOD + "more: &x [*x]\n", "nests at most 20 lists and mappings"),
+    ],
+)
+def test_yaml_that_no_rule_needs_is_refused(text: str, message: str) -> None:
+    assert message in _error(text).message

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from store import Log, LogUnavailable, WrongMajor, open_log, verify
+from store import BadRequest, Log, LogUnavailable, WrongMajor, open_log, verify
 from store.embedded import MAJOR, EmbeddedServer
 from tests.contracts.writers import open_append_and_wait, started
 from tests.store.samples import GATE, append
@@ -220,3 +220,12 @@ def test_a_log_that_cannot_be_opened_stops_the_server_that_it_started(
 def test_reviving_a_log_at_an_address_does_nothing(log: Log) -> None:
     log.revive()
     assert log.head() == 0
+
+
+@pytest.mark.parametrize("name", ["my log", "a'b", 'a"b', "a&b", "a%b", "a$b", "a;b", "a\nb"])
+def test_a_folder_whose_name_the_server_cannot_bear_is_refused_before_anything_is_made(
+    public_folder: Path, name: str
+) -> None:
+    with pytest.raises(BadRequest, match=r"cannot live in .* Next: give another folder with --data-dir"):
+        open_log(data_dir=public_folder / name)
+    assert not (public_folder / name).exists()

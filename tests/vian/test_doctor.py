@@ -16,7 +16,9 @@ from vian.settings import load_settings
 
 
 def findings(open_existing: Callable[[], Log], **given: Any) -> dict[str, tuple[Verdict, str]]:
-    return {each.check: (each.verdict, each.text) for each in examine(load_settings(**given), open_existing)}
+    settings = load_settings(**given)
+    found = examine(settings, open_existing, is_embedded=settings.dsn is None)
+    return {each.check: (each.verdict, each.text) for each in found}
 
 
 def never() -> NoReturn:

@@ -259,6 +259,28 @@ def test_the_start_is_the_files_modification_time_if_need_be(log: Log, clip: Pat
     assert len(notes) == 1
 
 
+@pytest.mark.parametrize("year", [1, 1969, 2200, 9999])
+def test_a_start_in_which_no_video_was_recorded_is_refused(log: Log, clip: Path, year: int) -> None:
+    with pytest.raises(WrongUsage, match="--start must lie in the years 1970 to 2199, got "):
+        extract_motion(job(log, clip, started_at=datetime(year, 12, 31, 23, 59, 59, tzinfo=UTC)))
+    assert log.head() == 0
+
+
+def test_times_are_exact_however_late_the_start(log: Log, clip: Path) -> None:
+    start = datetime(2199, 1, 1, microsecond=1, tzinfo=UTC)
+    extract_motion(job(log, clip, started_at=start))
+    first, (ended, *_) = said(log, extraction.TrackPoint)[0], said(log, extraction.TrackEnded)
+    assert first.time == ended.began_at
+    assert (first.time - start) % timedelta(milliseconds=1) == timedelta()
+
+
+def test_a_file_name_that_is_not_utf8_is_kept_as_far_as_it_can_be(log: Log, clip: Path, tmp_path: Path) -> None:
+    name = os.fsdecode(os.fsencode(tmp_path) + b"/gate\xff.mp4")
+    shutil.copy(clip, name)
+    done = extract_motion(job(log, Path(name)))
+    assert done.video.path.endswith("gate\N{REPLACEMENT CHARACTER}.mp4")
+
+
 def test_another_start_for_a_known_video_is_refused(log: Log, clip: Path) -> None:
     extract_motion(job(log, clip))
     with pytest.raises(WrongUsage, match=r"with the start 2026-01-01T10:00:00\+00:00, got 2026-01-01T11:00:00\+00:00"):
@@ -357,8 +379,9 @@ def _changed(frames: Callable[..., Iterator[Frame | Gap]], is_there: Callable[[F
     return changed
 
 
+@pytest.mark.parametrize("frame", [10, 20, 30, 50])
 def test_a_database_that_goes_away_and_comes_back_is_waited_for(
-    log: Log, clip: Path, undisturbed: dict[str, tuple[int, str]], server: Server
+    log: Log, clip: Path, undisturbed: dict[str, tuple[int, str]], server: Server, frame: int
 ) -> None:
     notes: list[str] = []
 
@@ -366,7 +389,7 @@ def test_a_database_that_goes_away_and_comes_back_is_waited_for(
         notes.append(text)
         allow_connections(log, server)
 
-    extract_motion(job(log, clip, on_progress=cut_off(log, server), on_note=note))
+    extract_motion(job(log, clip, on_progress=cut_off(log, server, frame), on_note=note))
     assert heads(log) == undisturbed
     assert len(notes) == 1
     assert notes[0].startswith("waiting: ")
@@ -382,12 +405,12 @@ def test_a_database_that_stays_away_is_told_with_the_next_step(
     assert heads(log) == undisturbed
 
 
-def cut_off(log: Log, server: Server) -> Callable[[int, int | None], None]:
-    """Takes the database away after thirty frames."""
+def cut_off(log: Log, server: Server, frame: int = 30) -> Callable[[int, int | None], None]:
+    """Takes the database away after so many frames."""
     name = psycopg.conninfo.conninfo_to_dict(log.dsn)["dbname"]
 
     def on_progress(done: int, _: int | None) -> None:
-        if done == 30:
+        if done == frame:
             server.execute(f"alter database {name} allow_connections false")
             server.execute(f"select pg_terminate_backend(pid) from pg_stat_activity where datname = '{name}'")
 

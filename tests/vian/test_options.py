@@ -39,6 +39,12 @@ def test_what_is_no_time_is_told_with_an_example(text: str) -> None:
         time_of("--since", text)
 
 
+@pytest.mark.parametrize("text", ["0001-01-01T00:00:00+14:00", "9999-12-31T23:59:59-01:00"])
+def test_a_time_that_utc_does_not_have_is_told(text: str) -> None:
+    with pytest.raises(WrongUsage, match="--since must lie in the years 1 to 9999 of UTC"):
+        time_of("--since", text)
+
+
 def test_a_folder_without_a_log_is_not_made_one_by_a_reader(tmp_path: Path) -> None:
     settings = settings_for(tmp_path / "typo")
     with pytest.raises(WorldFailed, match="Next: vian demo or vian extract makes one"), opened(settings):

@@ -170,3 +170,9 @@ def test_an_answer_is_of_one_moment(filled: Log) -> None:
     before = query(filled, "select count(*) from events")
     append(filled, points(1, first_frame=10))
     assert before.to_pylist() != query(filled, "select count(*) from events").to_pylist()
+
+
+@pytest.mark.parametrize("name", ["log", "sql", "scope", "connection"])
+def test_this_programs_own_variables_are_no_tables(log: Log, name: str) -> None:
+    with pytest.raises(WrongUsage, match=f"Table with name {name} does not exist"):
+        query(log, f"select * from {name}")

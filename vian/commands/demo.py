@@ -1,11 +1,15 @@
 """`vian demo`: one event's whole life on real video."""
 
+import shlex
+import shutil
+import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from store import open_log
+from store.schema import safe_dsn
 from vian import options
 from vian.demo.clip import choose
 from vian.demo.run import ANSWER_SQL, CENTRAL_DIR, Summary, run_demo, summary_rows
@@ -44,12 +48,28 @@ def demo(
         report,
         output,
     )
-    _print(summary, output)
+    _print(summary, output, _place(data_dir, dsn))
     if not summary.is_sound:
         raise WorldFailed("the two logs do not verify or do not agree. Next: vian verify")
 
 
-def _print(summary: Summary, output: Output) -> None:
+def _place(data_dir: Path | None, dsn: str | None) -> str:
+    """The options by which another command finds this log; none for the default one."""
+    if data_dir is not None:
+        return f" --data-dir {shlex.quote(str(data_dir))}"
+    return f" --dsn {shlex.quote(safe_dsn(dsn))}" if dsn is not None else ""
+
+
+def _program() -> str:
+    """How this program is called from here: by name if the shell finds it, else by its path."""
+    if shutil.which("vian") is not None:
+        return "vian"
+    beside = Path(sys.executable).with_name("vian")
+    here = Path.cwd()
+    return str(beside.relative_to(here) if beside.is_relative_to(here) else beside)
+
+
+def _print(summary: Summary, output: Output, place: str) -> None:
     if output.is_json:
         output.result(
             {
@@ -68,9 +88,10 @@ def _print(summary: Summary, output: Output) -> None:
         return
     output.table(f"ViAn demo, {summary.seconds:.1f} s", ("what", "value"), summary_rows(summary))
     output.line(f"report: {summary.report.resolve()}")
-    output.line(f'next:   vian query "{ANSWER_SQL}"')
-    output.line('        vian query "SELECT type, count(*) FROM events GROUP BY ALL"')
-    output.line("        vian tail --type situation_detected")
+    program = _program()
+    output.line(f'next:   {program} query{place} "{ANSWER_SQL}"')
+    output.line(f'        {program} query{place} "SELECT type, count(*) FROM events GROUP BY ALL"')
+    output.line(f"        {program} tail{place} --type situation_detected")
 
 
 def _check_writable(report: Path) -> None:

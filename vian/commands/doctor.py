@@ -18,7 +18,8 @@ def register(app: typer.Typer) -> None:
 def doctor(data_dir: options.DataDir = None, dsn: options.Dsn = None, as_json: options.Json = False) -> None:
     """Examine this installation and its log; exit code 1 if something stands in the way."""
     settings = settings_for(data_dir, dsn)
-    findings = examine(settings, lambda: open_from(settings, data_dir=data_dir))
+    is_embedded = settings.dsn is None or data_dir is not None
+    findings = examine(settings, lambda: open_from(settings, data_dir=data_dir), is_embedded=is_embedded)
     output = Output(is_json=as_json)
     bad = 0
     for finding in findings:

@@ -71,9 +71,9 @@ def run(
     output = Output(is_json=as_json)
     rules = load_all(paths)
     with opened(settings, data_dir=data_dir, is_made=True) as log:
+        processor = Processor(log, settings.station, rules, now=None if once else utc_now)
         for rule in deploy_all(log, settings.station, rules):
             output.note(f"deployed {rule.rule} version {rule.version}")
-        processor = Processor(log, settings.station, rules, now=None if once else utc_now)
         found = 0
         if once:
             found = processor.catch_up()

@@ -20,6 +20,7 @@ import pyarrow as pa
 from patterns.processor import Processor, deploy
 from patterns.rule import Rule
 from store import Log, Projector, Verification, verify
+from sync.daemon import Daemon
 from sync.grants import Grants, token_hash
 from vian.api import bind, create_app, serving
 from vian.demo.clip import Clip
@@ -157,7 +158,7 @@ def _run_together(
 
             extraction = extract_motion(_job(station, clip, show, output))
         output.note("bringing rules, row tables and the central log to the same place")
-        _converge(running, station, central, processor, projectors)
+        _converge(running, station, central, processor, projectors, daemon)
     return extraction
 
 
@@ -174,15 +175,27 @@ def _job(station: Log, clip: Clip, show: Callable[[int, int | None], None], outp
     )
 
 
-def _converge(parts: Parts, station: Log, central: Log, processor: Processor, projectors: list[Projector]) -> None:
+def _converge(
+    parts: Parts, station: Log, central: Log, processor: Processor, projectors: list[Projector], daemon: Daemon
+) -> None:
     """Wait until every part has seen everything.
 
     Raises:
-        WorldFailed: One of them has not in time.
+        WorldFailed: One of them has not in time, or central holds another history of a stream.
     """
     extracted = station.head()
+
+    def is_replicated() -> bool:
+        stopped = [each.error for each in daemon.status().streams if each.error is not None]
+        if stopped:
+            raise WorldFailed(
+                f"the central log holds another demo's history: {stopped[0]}. "
+                "Next: give the demo a folder of its own: vian demo --data-dir FOLDER"
+            )
+        return _heads(station) == _heads(central)
+
     _wait(parts, "the rules have not seen all events", lambda: processor.position >= extracted)
-    _wait(parts, "the central log has not all events", lambda: _heads(station) == _heads(central))
+    _wait(parts, "the central log has not all events", is_replicated)
     for projector, log in zip(projectors, (station, central), strict=True):
         head = log.head()
         _wait(parts, "the row tables are behind", lambda p=projector, h=head: p.position >= h)  # type: ignore[misc]
@@ -213,8 +226,9 @@ def _size(log: Log) -> tuple[int, int]:
 
 
 def _check_is_ours(station: Log) -> None:
-    strangers = sorted({head.stream.station for head in station.streams()} - {STATION})
-    if strangers:
+    stations = {head.stream.station for head in station.streams()}
+    strangers = sorted(stations - {STATION})
+    if strangers and STATION not in stations:
         raise WrongUsage(
             f"this log holds streams of {', '.join(strangers[:3])}, and the demo's would stay in it for ever. "
             "Next: give the demo a folder of its own: vian demo --data-dir FOLDER"

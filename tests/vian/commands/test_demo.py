@@ -1,11 +1,13 @@
 """`vian demo` and `vian doctor` at the command line; what a demo does is tried in `demo/`."""
 
 import json
+import shlex
 from pathlib import Path
 
 import pytest
 
 from store import Log
+from store.schema import safe_dsn
 from tests.conftest import MakeLog
 from tests.vian.conftest import Run
 from tests.vian.samples import append, points, reopened
@@ -25,8 +27,9 @@ def central(make_log: MakeLog, monkeypatch: pytest.MonkeyPatch) -> Log:
 def test_a_demo_ends_with_a_summary_and_the_next_commands(log: Log, central: Log, run: Run, clip: Path) -> None:
     ran = run("demo", "--video", clip, "--dsn", log.dsn)
     assert ran.code == 0, ran.err
-    for text in ("frames", "60", "chains verified", "yes, heads agree", "next:   vian query", "situations: zone-int"):
+    for text in ("frames", "60", "chains verified", "yes, heads agree", "next:   ", "situations: zone-int"):
         assert text in ran.out
+    assert f'query --dsn {shlex.quote(safe_dsn(log.dsn))} "SELECT rule' in ran.out
     report = Path("vian-demo-report.html")
     assert f"report: {report.resolve()}" in ran.out
     assert "crossing" in report.read_text()
@@ -90,3 +93,12 @@ def test_doctor_counts_what_is_bad(run: Run) -> None:
     assert ran.code == 1
     assert "bad   log: " in ran.out
     assert "1 checks came out bad; each says what to do next" in ran.words
+
+
+def test_doctor_makes_no_log_in_a_folder_when_settings_name_an_address(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("VIAN_DSN", "postgresql://nobody@127.0.0.1:1/none")
+    ran = run("doctor", "--data-dir", tmp_path / "new")
+    assert ran.code == 0
+    assert not (tmp_path / "new").exists()

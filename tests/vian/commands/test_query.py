@@ -4,6 +4,7 @@ import csv
 import json
 from pathlib import Path
 
+import psycopg
 import pyarrow as pa
 import pyarrow.parquet
 import pytest
@@ -116,3 +117,14 @@ def test_a_mistake_is_wrong_usage(filled: Log, run: Run, arguments: list[str], s
 def test_an_unknown_source_is_no_mistake_but_an_empty_answer(filled: Log, run: Run) -> None:
     ran = run("query", "select * from events", "--dsn", filled.dsn, "--source", "nobody", "--json")
     assert (ran.code, ran.out) == (0, "")
+
+
+def test_bytes_that_do_not_decode_lead_to_verify(log: Log, run: Run) -> None:
+    append(log, points(3))
+    with psycopg.connect(log.dsn, autocommit=True) as owner:
+        owner.execute("alter table segments disable trigger user")
+        owner.execute("update segments set payload = 'no payload'")
+    ran = run("query", "select * from track_point", "--dsn", log.dsn)
+    assert ran.code == 1
+    assert "brno/gate/track_point from sequence 1: " in ran.words
+    assert "Next: vian verify" in ran.words

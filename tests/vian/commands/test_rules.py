@@ -26,7 +26,7 @@ def test_the_shipped_rules_pass_their_tests(run: Run) -> None:
     ran = run("rules", "check", SHIPPED)
     assert ran.code == 0
     assert "zone-intrusion v1, one track walks in" in ran.out
-    assert ran.out.count(": passed") == 4
+    assert ran.out.count(": passed") == 5
 
 
 def test_check_prints_json(run: Run) -> None:
@@ -123,3 +123,20 @@ def test_a_rule_file_that_is_not_there_is_wrong_usage(run: Run, arguments: list[
     assert ran.code == 2
     assert "the rule file gone.yaml cannot be read" in ran.words
     assert not Path("log").exists()
+
+
+def test_rules_of_two_stations_run_over_one_log_beside_each_other(log: Log, run: Run, tmp_path: Path) -> None:
+    rule = write_rule(tmp_path / "high.yaml")
+    append(log, points(2, x=9.0))
+    append(log, points(2, first_frame=5, x=0.0))
+    for station in ("brno", "praha"):
+        ran = run("rules", "run", rule, "--once", "--dsn", log.dsn, "--station", station, "--json")
+        assert json.loads(ran.out) == {"rules": 1, "situations": 2}
+
+
+def test_a_rule_that_cannot_go_into_service_is_not_deployed(log: Log, run: Run, tmp_path: Path) -> None:
+    path = write_rule(tmp_path / "high.yaml")
+    path.write_text(path.read_text().replace("track_point", "no_such_type"))
+    ran = run("rules", "run", path, "--once", "--dsn", log.dsn, "--station", "brno")
+    assert ran.code == 2
+    assert log.head() == 0

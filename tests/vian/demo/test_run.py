@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from events import SyncPlanned, decode, events_of
+from events import StreamName, SyncPlanned, decode, events_of
 from extractors.scene import street, write
 from patterns.processor import Processor
 from store import Log, verify
@@ -17,6 +17,7 @@ from tests.vian.samples import append, points
 from vian.demo import run as demo
 from vian.demo.clip import Clip, Origin
 from vian.demo.run import CENTRAL, Summary, summary_rows
+from vian.demo.scenes import source_of
 from vian.errors import WorldFailed, WrongUsage
 from vian.extraction import Appender
 from vian.querying import query
@@ -147,6 +148,20 @@ def test_a_log_of_another_station_is_left_alone(stage: Stage) -> None:
         stage.run()
     assert stage.station.head() == 1
     assert stage.central.head() == 0
+
+
+def test_a_log_of_the_demo_may_hold_another_stations_streams_too(stage: Stage) -> None:
+    before = stage.run()
+    append(stage.station, points(1))
+    after = stage.run()
+    assert (after.is_sound, after.events) == (True, before.events)
+
+
+def test_a_central_log_with_another_history_is_told_at_once(stage: Stage) -> None:
+    source = source_of(stage.clip)
+    append(stage.central, points(3), StreamName.of(demo.STATION, source, "track_point"))
+    with pytest.raises(WorldFailed, match=r"holds another demo's history: .*Next: .*--data-dir FOLDER"):
+        stage.run()
 
 
 def test_one_log_shows_several_clips_one_after_another(stage: Stage, tmp_path: Path) -> None:
