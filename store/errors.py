@@ -3,6 +3,7 @@
 StoreError
 ├── LogUnavailable       the database cannot be started or reached, or went away
 │   └── WrongMajor       the data directory belongs to another major version of PostgreSQL
+├── DatabaseDamaged      PostgreSQL finds that its own files do not hold what it wrote
 ├── SchemaMismatch       the database's schema is newer than this program, or not ours
 ├── SequenceConflict     a stream does not stand where the writer expected
 ├── ChainBroken          stored or received bytes do not carry the hash that they should
@@ -26,6 +27,10 @@ class LogUnavailable(StoreError):
 
 class WrongMajor(LogUnavailable):
     """The data directory belongs to another major version of PostgreSQL."""
+
+
+class DatabaseDamaged(StoreError):
+    """PostgreSQL finds that its own files do not hold what it wrote."""
 
 
 class SchemaMismatch(StoreError):

@@ -19,9 +19,9 @@ from typing import Any, Self, TypeVar
 import psycopg
 from psycopg_pool import ConnectionPool, PoolTimeout
 
-from events import Catalogue, Draft, EventType, Segment, StreamName, load_catalogue
+from events import Catalogue, Draft, EventType, Position, Segment, StreamName, load_catalogue
 from store.embedded import EmbeddedServer
-from store.errors import BadRequest, LogUnavailable
+from store.errors import BadRequest, ChainBroken, DatabaseDamaged, LogUnavailable
 from store.reading import Filter, TimeOrNone, read_query, segment_of, stream_query
 from store.schema import migrate, safe_dsn
 from store.writing import APPEND, append_error, append_parameters
@@ -206,6 +206,8 @@ class Log:
             ) from error
         except psycopg.OperationalError as error:
             raise LogUnavailable(f"the database at {safe_dsn(self.dsn)} is away: {error}".strip()) from error
+        except psycopg.InternalError as error:
+            raise _damaged(error) from error
 
     def revive(self) -> None:
         """Start an embedded server again that died; do nothing for an external one.
@@ -283,8 +285,27 @@ class Log:
             at = segments[-1].position + 1
 
     def page(self, from_position: int, to_position: int, chosen: Filter, limit: int) -> list[Segment]:
-        """At most `limit` segments between two positions, both inclusive, that the filter lets through."""
-        return self._segments(*read_query(from_position, to_position, chosen, limit))
+        """At most `limit` segments between two positions, both inclusive, that the filter lets through.
+
+        Raises:
+            ChainBroken: A stored segment is one that no log can hold, or PostgreSQL cannot read it.
+        """
+        try:
+            return self._segments(*read_query(from_position, to_position, chosen, limit))
+        except DatabaseDamaged as error:
+            raise self._unreadable(from_position, to_position, error) from error
+
+    def _unreadable(self, first: int, last: int, damage: DatabaseDamaged) -> ChainBroken:
+        """The first segment between two positions that PostgreSQL cannot read, by bisection."""
+        while first < last:
+            middle = (first + last) // 2
+            try:
+                self._segments(*read_query(first, middle, Filter(), middle - first + 1))
+            except DatabaseDamaged as error:
+                last, damage = middle, error
+            else:
+                first = middle + 1
+        return ChainBroken(StreamName.of("unknown", "unknown", "unknown"), Position(first), 0, str(damage))
 
     def head(self) -> int:
         """Position of the newest segment; 0 for an empty log."""
@@ -399,6 +420,15 @@ class Log:
         connection.autocommit = True
         connection.execute("set timezone to 'UTC'")
         connection.execute(psycopg.sql.SQL("set role {}").format(psycopg.sql.Identifier(self._role)))
+
+
+def _damaged(error: psycopg.InternalError) -> Exception:
+    """Our error for what PostgreSQL says of damaged files; any other is a defect and stays what it is."""
+    if not (error.sqlstate or "").startswith("XX"):
+        return error
+    return DatabaseDamaged(
+        f"PostgreSQL finds its files damaged: {error}. Next: keep them as they are, and restore a backup elsewhere"
+    )
 
 
 @contextmanager
