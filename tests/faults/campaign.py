@@ -1,10 +1,12 @@
 """The fault campaign: kill what writes, what projects and what stores, at random instants under load, and count.
 
+Then flip bits, let two writers rival for one stream, and fill the disk.
+
 Contract: `python -m tests.faults.campaign --rounds 200 --seed 1` (`make faults`) prints one table and
 ends with 0 if nothing acknowledged was lost, nothing doubled, every chain holds, positions have no
-hole, times of recording never go back and rows equal events; else with 1, the seed and what was
-wrong. PostgreSQL runs with fsync on, in a folder of a real disk. The same seed gives the same
-faults at the same instants, as far as the machine lets it.
+hole, times of recording never go back, rows equal events and every flipped bit is located; else with
+1, the seed and what was wrong. PostgreSQL runs with fsync on, in a folder of a real disk. The same
+seed gives the same faults at the same instants, as far as the machine lets it.
 """
 
 import argparse
@@ -30,6 +32,8 @@ from rich.table import Table
 
 from events import StreamName, decode
 from store import LogUnavailable, Projector, open_log, verify
+from tests.faults.bits import flip_many
+from tests.faults.full_disk import fill_and_free, small_disk
 from tests.faults.load import (
     STREAMS,
     Process,
@@ -38,6 +42,7 @@ from tests.faults.load import (
     persistently,
     project_until_killed,
 )
+from tests.faults.rivals import rounds_of_rivalry
 from tests.store.samples import owner
 from tests.store.servers import postmaster
 
@@ -300,16 +305,48 @@ def table(tally: Tally) -> Table:
 def main() -> int:
     """Run the campaign from the command line."""
     parser = argparse.ArgumentParser(description="Faults on purpose against a log on disk.")
-    parser.add_argument("--rounds", type=int, default=200)
+    parser.add_argument("--rounds", type=int, default=200, help="rounds of kills and stops under load")
     parser.add_argument("--seed", type=int, default=random.SystemRandom().randrange(2**31))
     given = parser.parse_args()
     console = Console()
+
+    def shown(what: str) -> Callable[[range], Any]:
+        return lambda rounds: track(rounds, what, console=console)
+
     with on_disk() as folder:
-        tally = run(given.rounds, given.seed, folder / "log", lambda rounds: track(rounds, "rounds", console=console))
-    console.print(table(tally))
-    for each in tally.wrong[:20]:
+        tally = run(given.rounds, given.seed, folder / "log", shown("kills and stops"))
+        result = table(tally)
+        wrong = list(tally.wrong)
+        wrong += _flips(folder / "bits", given.seed, max(1, given.rounds // 4), shown("flipped bits"), result)
+        wrong += _rivals(folder / "bits", given.seed, max(1, given.rounds // 10), result)
+        wrong += _full_disk(folder / "small", given.seed, result)
+    console.print(result)
+    for each in wrong[:20]:
         console.print(each, style="red")
-    return 0 if tally.is_clean else 1
+    return 0 if tally.is_clean and not wrong else 1
+
+
+def _flips(data_dir: Path, seed: int, count: int, show: Callable[[range], Any], result: Table) -> list[str]:
+    open_log(data_dir=data_dir).close()
+    flips = flip_many(data_dir, seed, count, count, show)
+    found, located = sum(each.is_found for each in flips), sum(each.is_located for each in flips)
+    result.add_row("flipped bits, in values and on the disk", str(len(flips)))
+    result.add_row("of these found / located", f"{found} / {located}")
+    return [f"not found or not located: a bit of {each.where}" for each in flips if not each.is_located]
+
+
+def _rivals(data_dir: Path, seed: int, rounds: int, result: Table) -> list[str]:
+    wrong = rounds_of_rivalry(data_dir, seed, rounds)
+    result.add_row("two writers on one stream: clear winners", f"{rounds - len(wrong)} of {rounds}")
+    return wrong
+
+
+def _full_disk(folder: Path, seed: int, result: Table) -> list[str]:
+    with small_disk(folder) as disk:
+        wrong = fill_and_free(disk, seed) if disk is not None else []
+        said = "not tried: needs root" if disk is None else "BROKEN" if wrong else "nothing lost"
+    result.add_row("disk full and back", said)
+    return wrong
 
 
 if __name__ == "__main__":

@@ -151,6 +151,15 @@ def test_killed_processes_are_forgotten_so_that_the_last_one_stops_the_server(da
     assert not is_running(data_dir)
 
 
+def test_the_last_living_user_stops_the_server_though_another_was_killed_meanwhile(data_dir: Path) -> None:
+    log = open_log(data_dir=data_dir)
+    with started(open_append_and_wait, str(data_dir), "gate") as other:
+        other.wait_until_ready()
+        other.kill()
+        log.close()
+    assert not is_running(data_dir)
+
+
 @pytest.mark.parametrize("torn", ["", "[12, ", "[99999999]"])
 def test_a_torn_list_of_users_is_as_good_as_an_empty_one(data_dir: Path, torn: str) -> None:
     server = EmbeddedServer(data_dir)
