@@ -9,6 +9,7 @@ A `Log` may be used by several threads. It runs as the role `vian_writer`, which
 delete anything in the log.
 """
 
+import shutil
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -32,6 +33,8 @@ CONNECTIONS_MAX = 10
 _CONNECT_SECONDS = 15.0
 _PATIENCE_SECONDS = 1.0
 """How long to wait for the pool before asking the database itself whether it is there."""
+_ROOM_BYTES = 32 * 2**20
+"""With less room on its disk PostgreSQL may not be able to go on: it takes it in files of 16 MiB."""
 READ_SEGMENTS = 500
 """Segments fetched from the database at a time."""
 
@@ -200,14 +203,28 @@ class Log:
                     yield connection
             finally:
                 self._pool.putconn(connection)
+        except LogUnavailable as error:
+            raise LogUnavailable(f"{error}{self._room()}") from error
         except PoolTimeout as error:
             raise LogUnavailable(
                 f"all {CONNECTIONS_MAX} connections to {safe_dsn(self.dsn)} were busy for {_CONNECT_SECONDS:g} s"
             ) from error
         except psycopg.OperationalError as error:
-            raise LogUnavailable(f"the database at {safe_dsn(self.dsn)} is away: {error}".strip()) from error
+            raise LogUnavailable(
+                f"the database at {safe_dsn(self.dsn)} is away: {error}".strip() + self._room()
+            ) from error
         except psycopg.InternalError as error:
             raise _damaged(error) from error
+
+    def _room(self) -> str:
+        """A word on the embedded server's disk where it is nearly full: PostgreSQL dies of that without saying why."""
+        free = shutil.disk_usage(self.server.data_dir).free if self.server is not None else _ROOM_BYTES
+        if free >= _ROOM_BYTES:
+            return ""
+        return (
+            f"; its disk is full ({free // 2**20} MiB free, No space left on device). "
+            "Next: make room; what waits goes on by itself"
+        )
 
     def revive(self) -> None:
         """Start an embedded server again that died; do nothing for an external one.

@@ -33,7 +33,7 @@ from rich.table import Table
 from events import StreamName, decode
 from store import LogUnavailable, Projector, open_log, verify
 from tests.faults.bits import flip_many
-from tests.faults.full_disk import fill_and_free, small_disk
+from tests.faults.full_disk import fill_and_free
 from tests.faults.load import (
     STREAMS,
     Process,
@@ -43,6 +43,7 @@ from tests.faults.load import (
     project_until_killed,
 )
 from tests.faults.rivals import rounds_of_rivalry
+from tests.store.disks import small_disk
 from tests.store.samples import owner
 from tests.store.servers import postmaster
 
