@@ -32,7 +32,7 @@ from store import (
     verify,
     verify_restored,
 )
-from tests.conftest import MakeLog, Server
+from tests.conftest import MakeLog, Server, Servers
 from tests.store.samples import GATE, ONE_OF_EACH, YARD, append, draft, draft_of, on_both, owner, query
 
 Target = Callable[[], str]
@@ -96,6 +96,23 @@ def test_what_is_restored_is_what_was_there_in_a_new_epoch(log: Log, folder: Pat
             name: (folder, log.head()) for name in ("restore_began", "restored", "verified")
         }
         assert abs((done["verified"].at - datetime.now(UTC)).total_seconds()) < 60
+
+
+def test_a_log_moves_from_one_major_version_of_postgresql_to_another(
+    servers: Servers, folder: Path, target: Target
+) -> None:
+    old = servers.get("15")
+    name = old.create_database()
+    dsn = target()
+    with reopened(old.dsn(name)) as log:
+        fill(log)
+        back_up(log, folder)
+        restore(dsn, folder)
+        with reopened(dsn) as other:
+            assert everything(other) == everything(log)
+            assert query(other, "show server_version_num")[0][0] > query(log, "show server_version_num")[0][0]
+            assert verify(other).is_sound
+    old.drop_database(name)
 
 
 @on_both
