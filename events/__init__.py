@@ -6,11 +6,26 @@ package imports none of ViAn's others, knows no database and no network.
 
 from events.catalogue import SHIPPED, Catalogue, load_catalogue
 from events.columns import EventBatch, batch_of, batch_of_type, events_of, schema_of, with_envelope
-from events.errors import CorruptSegment, EventError, InvalidEvent, InvalidName, UnknownType
+from events.door import Allowed, allowed
+from events.errors import CorruptSegment, EventError, InvalidEvent, InvalidName, UnknownType, UpcastFailed
 from events.media import VideoAdded
-from events.model import EventType, Float32, JsonText, Part, PersonalBytes, PersonalText, UtcTime
-from events.motion import ActivityInterval, TrackEnded, TrackPoint
+from events.model import (
+    AtDoor,
+    EventType,
+    Finite32,
+    Float32,
+    JsonText,
+    Part,
+    PersonalBytes,
+    PersonalJson,
+    PersonalText,
+    Share32,
+    UtcTime,
+)
+from events.motion import ActivityInterval, TrackEnded, TrackEndedV1, TrackPoint
 from events.names import Source, Station, StreamName, TypeName, source_name, station_name, type_name
+from events.plates import PlateRead
+from events.proof import CheckpointSigned, LossRecorded
 from events.segment import (
     GENESIS,
     Draft,
@@ -33,21 +48,28 @@ __all__ = [
     "GENESIS",
     "SHIPPED",
     "ActivityInterval",
+    "Allowed",
+    "AtDoor",
     "Catalogue",
+    "CheckpointSigned",
     "CorruptSegment",
     "Draft",
     "EventBatch",
     "EventError",
     "EventType",
+    "Finite32",
     "Float32",
     "Header",
     "InvalidEvent",
     "InvalidName",
     "JsonText",
+    "LossRecorded",
     "MatchedRange",
     "Part",
     "PersonalBytes",
+    "PersonalJson",
     "PersonalText",
+    "PlateRead",
     "Position",
     "ProcessFailed",
     "ProcessFinished",
@@ -57,17 +79,21 @@ __all__ = [
     "RuleDeployed",
     "Segment",
     "Sequence",
+    "Share32",
     "SituationDetected",
     "Source",
     "Station",
     "StreamName",
     "SyncPlanned",
     "TrackEnded",
+    "TrackEndedV1",
     "TrackPoint",
     "TypeName",
     "UnknownType",
+    "UpcastFailed",
     "UtcTime",
     "VideoAdded",
+    "allowed",
     "batch_of",
     "batch_of_type",
     "chain",

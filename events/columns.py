@@ -9,10 +9,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from functools import cache
+from operator import attrgetter
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, Self, TypeVar, Union, get_args, get_origin
 
 import numpy as np
+import numpy.typing as npt
 import pyarrow as pa
 from pydantic import AwareDatetime, ValidationError
 from pydantic.fields import FieldInfo
@@ -44,6 +46,10 @@ class EventBatch:
     data: pa.RecordBatch
 
     def __post_init__(self) -> None:
+        if not isinstance(self.data, pa.RecordBatch):
+            raise InvalidEvent(
+                f"{self.type.type_name}: data must be a pyarrow.RecordBatch, got {type(self.data).__name__}"
+            )
         wanted = schema_of(self.type)
         if not self.data.schema.equals(wanted, check_metadata=False):
             raise InvalidEvent(f"{self.type.type_name}: {_difference(self.data.schema, wanted)}")
@@ -87,9 +93,8 @@ def batch_of_type(event_type: type[E], events: Sequence[E]) -> EventBatch:
     if strangers:
         names = ", ".join(sorted(kind.__name__ for kind in strangers))
         raise InvalidEvent(f"a batch of {event_type.__name__} holds nothing else, got {names}")
-    rows = [event.model_dump() for event in events]
     schema = schema_of(event_type)
-    columns = [_column(event_type, field, [row[field.name] for row in rows]) for field in schema]
+    columns = [_column(event_type, field, _values(events, field)) for field in schema]
     return EventBatch(event_type, pa.RecordBatch.from_arrays(columns, schema=schema))
 
 
@@ -123,6 +128,23 @@ def subject_of(batch: EventBatch) -> pa.Array:
     if batch.type.subject_field is None:
         return pa.nulls(len(batch), pa.string())
     return batch.data.column(batch.type.subject_field).cast(pa.string())
+
+
+def _values(events: Sequence[EventType], field: pa.Field) -> list[Any]:
+    """The field's value of each event, structures as mappings."""
+    values = list(map(attrgetter(field.name), events))
+    if not pa.types.is_list(field.type):
+        return values
+    return [None if parts is None else [part.model_dump() for part in parts] for parts in values]
+
+
+def numbers(column: pa.Array) -> npt.NDArray[Any]:
+    """The column's values without nulls; times as microseconds since 1970."""
+    if column.null_count:
+        column = column.drop_null()
+    if isinstance(column, pa.TimestampArray):
+        column = column.view(pa.int64())
+    return column.to_numpy()  # type: ignore[no-any-return]
 
 
 def _column(event_type: type[EventType], field: pa.Field, values: list[Any]) -> pa.Array:

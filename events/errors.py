@@ -2,6 +2,7 @@
 
 EventError
 ├── UnknownType          no such event type, or a version this program does not know
+│   └── UpcastFailed     an old version is known, but a plug-in does not bring it to the newest
 ├── InvalidName          a station, source, type or stream name outside the grammar
 ├── InvalidEvent         a value that the type's definition does not allow
 └── CorruptSegment       bytes that are not the segment they claim to be
@@ -14,6 +15,10 @@ class EventError(Exception):
 
 class UnknownType(EventError):
     """No such event type, or a version of it that this program does not know."""
+
+
+class UpcastFailed(UnknownType):
+    """A stored event cannot be brought to the newest version of its type: its upcaster is at fault."""
 
 
 class InvalidName(EventError):

@@ -4,7 +4,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from events.model import EventType, UtcTime
+from events.model import AtDoor, EventType, UtcTime
 
 
 class VideoAdded(EventType, type="video_added", version=1, subject="video"):
@@ -18,9 +18,9 @@ class VideoAdded(EventType, type="video_added", version=1, subject="video"):
     """width of a frame, px"""
     height: Annotated[int, Field(gt=0)]
     """height of a frame, px"""
-    fps: float | None
+    fps: Annotated[float, AtDoor(0)] | None
     """nominal frames per second of the container, 1/s; null where it has none"""
-    frames_expected: int | None
+    frames_expected: Annotated[int, AtDoor(0)] | None
     """frames that the container announces; null where it does not say"""
     codec: str
     """codec of the video stream, as the decoder names it"""

@@ -1,8 +1,9 @@
 """What one event type is: the base class of the catalogue's types and the markers of their fields.
 
 Contract: a type is one frozen pydantic model. Its Arrow schema (`events.columns`) and its row
-table (`store.projections`) derive from it, so a type is written down once. A type's version never
-changes after release; the next version is another class.
+table (`store.tables`) derive from it, so a type is written down once. A type's version never
+changes after release; the next version is another class, which names the one before as `older` and
+brings an `upcast` from it.
 
 A field's docstring gives unit, range and frame; it becomes the comment of the table's column.
 """
@@ -13,8 +14,8 @@ from datetime import UTC, datetime
 from typing import Annotated, Any, ClassVar
 
 import pyarrow as pa
-from pydantic import AfterValidator, AwareDatetime, BaseModel, ConfigDict, WithJsonSchema
-from pydantic_core import from_json
+from pydantic import AfterValidator, AwareDatetime, BaseModel, ConfigDict, GetJsonSchemaHandler, WithJsonSchema
+from pydantic_core import CoreSchema, from_json
 
 from events.errors import InvalidEvent
 from events.names import TypeName, type_name
@@ -30,6 +31,23 @@ class Stored:
     arrow: pa.DataType
     is_json: bool = False
     is_personal: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class AtDoor:
+    """What a new number must be besides: finite, and between the limits, both inclusive.
+
+    `encode` asks for it, so nothing else gets into a log; the model does not, so that what was stored
+    before the limit came is read as it is.
+    """
+
+    least: float | None = None
+    most: float | None = None
+
+    def __get_pydantic_json_schema__(self, core: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        """The number's JSON Schema with the limits in it."""
+        limits = {"minimum": self.least, "maximum": self.most}
+        return handler(core) | {name: limit for name, limit in limits.items() if limit is not None}
 
 
 def _utc(time: datetime) -> datetime:
@@ -58,6 +76,12 @@ UtcTime = Annotated[AwareDatetime, AfterValidator(_utc)]
 Float32 = Annotated[float, Stored(pa.float32()), AfterValidator(_float32)]
 """A number for which 24 bits of mantissa are enough (pixels, scores), rounded to them."""
 
+Finite32 = Annotated[Float32, AtDoor()]
+"""A `Float32` that is a number: pixels, speeds."""
+
+Share32 = Annotated[Float32, AtDoor(0, 1)]
+"""A `Float32` from 0 to 1: scores, shares."""
+
 JsonText = Annotated[
     str,
     Stored(pa.string(), is_json=True),
@@ -69,6 +93,14 @@ JsonText = Annotated[
 PersonalText = Annotated[str, Stored(pa.string(), is_personal=True)]
 """Text about a person (a number plate), which a later version may store encrypted."""
 
+PersonalJson = Annotated[
+    str,
+    Stored(pa.string(), is_json=True, is_personal=True),
+    AfterValidator(_json),
+    WithJsonSchema({"type": "string", "contentMediaType": "application/json"}),
+]
+"""JSON about a person (other readings of a number plate), which a later version may store encrypted."""
+
 PersonalBytes = Annotated[bytes, Stored(pa.binary(), is_personal=True)]
 """Bytes about a person (a descriptor of looks), which a later version may store encrypted."""
 
@@ -79,14 +111,25 @@ class EventType(BaseModel):
     A subclass names itself in its class statement, and says which of its fields is the subject
     that the event is about (a track, a process, a rule):
 
-        class TrackEnded(EventType, type="track_ended", version=1, subject="track_id"): ...
+        class TrackPoint(EventType, type="track_point", version=1, subject="track_id"): ...
+
+    The next version names the one before, and says in `upcast` what old events are in the new form.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True, ser_json_inf_nan="strings")
+    model_config = ConfigDict(
+        frozen=True,
+        extra="forbid",
+        use_attribute_docstrings=True,
+        ser_json_inf_nan="strings",
+        ser_json_bytes="hex",
+        val_json_bytes="hex",
+    )
 
     type_name: ClassVar[TypeName]
     version: ClassVar[int]
     subject_field: ClassVar[str | None]
+    older: ClassVar["type[EventType] | None"]
+    """the version before; None where there is none, or none that the class brings"""
 
     time: UtcTime
     """when it happened (UTC, microseconds)"""
@@ -97,11 +140,12 @@ class EventType(BaseModel):
         type: str,  # noqa: A002 - the envelope's own word
         version: int,
         subject: str | None = None,
+        older: "type[EventType] | None" = None,
         **kwargs: Any,
     ) -> None:
         """Keep the names given in the class statement."""
         super().__init_subclass__(**kwargs)
-        cls.type_name, cls.version, cls.subject_field = type_name(type), version, subject
+        cls.type_name, cls.version, cls.subject_field, cls.older = type_name(type), version, subject, older
 
     @classmethod
     def __pydantic_init_subclass__(cls, **_: Any) -> None:
@@ -121,11 +165,26 @@ class EventType(BaseModel):
         if cls.subject_field is not None and cls.subject_field not in cls.model_fields:
             raise InvalidEvent(f"{cls.type_name}: subject must be a field of the type, got {cls.subject_field!r}")
 
+    @classmethod
+    def upcast(cls, older: pa.RecordBatch) -> pa.RecordBatch:
+        """Events of the version before in this one: as many, in the same order, each at the same time.
+
+        Pure and columnar. A value that the old version does not say is null, or follows from the others.
+        """
+        raise NotImplementedError(f"{cls.type_name} version {cls.version} brings no upcast")
+
+    @classmethod
+    def has_upcast(cls) -> bool:
+        """Whether this version itself, and not one that it inherits from, says how old events become its own."""
+        return "upcast" in vars(cls)
+
 
 class Part(BaseModel):
     """A structure inside an event's field, for example one matched range of a situation."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
+    model_config = ConfigDict(
+        frozen=True, extra="forbid", use_attribute_docstrings=True, ser_json_bytes="hex", val_json_bytes="hex"
+    )
 
 
 def stored(metadata: list[Any]) -> Stored | None:

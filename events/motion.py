@@ -5,9 +5,12 @@ Pixels: origin top-left, x right, y down; boxes are `x1 y1 x2 y2`.
 
 from typing import Annotated, Literal
 
+import numpy as np
+import pyarrow as pa
 from pydantic import Field
 
-from events.model import EventType, Float32, UtcTime
+from events.columns import schema_of
+from events.model import AtDoor, EventType, Finite32, Float32, Share32, UtcTime
 
 
 class TrackPoint(EventType, type="track_point", version=1, subject="track_id"):
@@ -17,27 +20,54 @@ class TrackPoint(EventType, type="track_point", version=1, subject="track_id"):
     """number of the track, unique within its source"""
     frame: Annotated[int, Field(ge=0)]
     """number of the frame within the video, from 0"""
-    x: Float32
+    x: Finite32
     """filtered ground contact point (middle of the box's lower edge), px"""
-    y: Float32
+    y: Finite32
     """filtered ground contact point (middle of the box's lower edge), px"""
-    x1: Float32
+    x1: Finite32
     """left edge of the box, px"""
-    y1: Float32
+    y1: Finite32
     """upper edge of the box, px"""
-    x2: Float32
+    x2: Finite32
     """right edge of the box, px"""
-    y2: Float32
+    y2: Finite32
     """lower edge of the box, px"""
-    vx: Float32
+    vx: Finite32
     """filtered velocity of the ground contact point, px/s"""
-    vy: Float32
+    vy: Finite32
     """filtered velocity of the ground contact point, px/s"""
-    confidence: Float32
+    confidence: Share32
     """how far the box rests on what was seen in this frame, 0 (predicted) to 1 (seen)"""
 
 
-class TrackEnded(EventType, type="track_ended", version=1, subject="track_id"):
+class TrackEndedV1(EventType, type="track_ended", version=1, subject="track_id"):
+    """A track came to its end; its time is that of its last point. Stored before version 2 came, and read as that."""
+
+    track_id: Annotated[int, Field(ge=1)]
+    """number of the track, unique within its source"""
+    began_at: UtcTime
+    """time of the first point (UTC)"""
+    first_frame: Annotated[int, Field(ge=0)]
+    """frame of the first point"""
+    last_frame: Annotated[int, Field(ge=0)]
+    """frame of the last point"""
+    points: Annotated[int, Field(ge=1)]
+    """number of track points"""
+    path_px: Annotated[Float32, AtDoor(0)]
+    """length of the path of the ground contact point, px"""
+    x_entry: Finite32
+    """first ground contact point, px"""
+    y_entry: Finite32
+    """first ground contact point, px"""
+    x_exit: Finite32
+    """last ground contact point, px"""
+    y_exit: Finite32
+    """last ground contact point, px"""
+    reason: Literal["lost", "left_frame", "input_changed", "end_of_video"]
+    """why it ended"""
+
+
+class TrackEnded(EventType, type="track_ended", version=2, subject="track_id", older=TrackEndedV1):
     """A track came to its end; its time is that of its last point."""
 
     track_id: Annotated[int, Field(ge=1)]
@@ -50,18 +80,31 @@ class TrackEnded(EventType, type="track_ended", version=1, subject="track_id"):
     """frame of the last point"""
     points: Annotated[int, Field(ge=1)]
     """number of track points"""
-    path_px: Float32
+    path_px: Annotated[Float32, AtDoor(0)]
     """length of the path of the ground contact point, px"""
-    x_entry: Float32
+    x_entry: Finite32
     """first ground contact point, px"""
-    y_entry: Float32
+    y_entry: Finite32
     """first ground contact point, px"""
-    x_exit: Float32
+    x_exit: Finite32
     """last ground contact point, px"""
-    y_exit: Float32
+    y_exit: Finite32
     """last ground contact point, px"""
     reason: Literal["lost", "left_frame", "input_changed", "end_of_video"]
     """why it ended"""
+    displacement_px: Annotated[Float32, AtDoor(0)]
+    """straight distance between the first and the last ground contact point, px"""
+
+    @classmethod
+    def upcast(cls, older: pa.RecordBatch) -> pa.RecordBatch:
+        """Events of version 1 with the distance between their own entry and exit."""
+        x_entry, y_entry, x_exit, y_exit = (
+            older.column(name).to_numpy().astype(np.float64) for name in ("x_entry", "y_entry", "x_exit", "y_exit")
+        )
+        # Version 1 may hold NaN and infinity; so is the distance then, without a warning.
+        with np.errstate(invalid="ignore", over="ignore"):
+            distance = np.sqrt((x_exit - x_entry) ** 2 + (y_exit - y_entry) ** 2).astype(np.float32)
+        return pa.RecordBatch.from_arrays([*older.columns, pa.array(distance)], schema=schema_of(cls))
 
 
 class ActivityInterval(EventType, type="activity_interval", version=1):
@@ -75,5 +118,5 @@ class ActivityInterval(EventType, type="activity_interval", version=1):
     """last frame with motion"""
     tracks_max: Annotated[int, Field(ge=0)]
     """most tracks seen at once"""
-    area_share_max: Float32
+    area_share_max: Share32
     """largest share of the picture in motion, 0 to 1"""

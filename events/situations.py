@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from events.model import EventType, JsonText, Part, UtcTime
+from events.model import AtDoor, EventType, JsonText, Part, UtcTime
 
 
 class MatchedRange(Part):
@@ -17,11 +17,11 @@ class MatchedRange(Part):
     """pattern variable"""
     stream: str
     """stream as station/source/type"""
-    first_sequence: int
+    first_sequence: Annotated[int, AtDoor(1)]
     """first sequence, inclusive"""
-    last_sequence: int
+    last_sequence: Annotated[int, AtDoor(1)]
     """last sequence, inclusive"""
-    events: int
+    events: Annotated[int, AtDoor(1)]
     """number of events in the range that are of the match's partition"""
 
 

@@ -18,7 +18,7 @@ from patterns.binder import bind
 from patterns.bound import BoundRule
 from patterns.columns import arrow_type
 from patterns.durations import parse_duration
-from patterns.errors import PatternError, RuleError
+from patterns.errors import FrameSizeUnknown, PatternError, Place, RuleError
 from patterns.expressions import Kind
 from patterns.rule import Case, Rule
 from patterns.running import match
@@ -36,6 +36,7 @@ class TestResult:
         name: The test's name.
         passed: Whether exactly the wanted situations were found.
         difference: Wanted and found side by side, one line each; empty if it passed.
+        place: Where in the rule's file the test stands.
     """
 
     __test__ = False
@@ -44,6 +45,7 @@ class TestResult:
     name: str
     passed: bool
     difference: str
+    place: Place
 
 
 def run_tests(rule: Rule, schemas: Mapping[str, pa.Schema]) -> list[TestResult]:
@@ -63,10 +65,17 @@ def _result(rule: Rule, schemas: Mapping[str, pa.Schema], index: int, case: Case
         found = match(bound, rows)
     except RuleError:
         raise
+    except FrameSizeUnknown as error:
+        difference = (
+            f"! {error.shape!r} is in normalised coordinates of source {error.source!r}, whose frame size the test "
+            f"does not give. Next: add it to the test's `frames:`, as in `frames: {{{error.source}: [1920, 1080]}}`"
+        )
     except PatternError as error:
-        return TestResult(rule.rule, name, passed=False, difference=f"! {error}")
-    difference = compared(case.expect, found)
-    return TestResult(rule.rule, name, passed=not difference, difference=difference)
+        difference = f"! {error}"
+    else:
+        difference = compared(case.expect, found)
+    place = rule.passage("tests", index).place(0)
+    return TestResult(rule.rule, name, passed=not difference, difference=difference, place=place)
 
 
 def case_rows(bound: BoundRule, index: int) -> pa.Table:
@@ -98,7 +107,8 @@ def case_rows(bound: BoundRule, index: int) -> pa.Table:
 def compared(wanted: Sequence[Mapping[str, Any]], found: Sequence[Match]) -> str:
     """The difference, one line a situation: `  ` as wanted, `- ` wanted but not found, `+ ` found but not wanted.
 
-    Wanted and found are paired in order; empty if nothing differs.
+    Wanted and found are paired in order; empty if nothing differs. Where nothing at all was wanted or found, a line
+    says that.
     """
     lines = []
     is_equal = len(wanted) == len(found)
@@ -114,6 +124,10 @@ def compared(wanted: Sequence[Mapping[str, Any]], found: Sequence[Match]) -> str
         if have is not None:
             names = want or found[index].measures or found[index].partition
             lines.append(f"+ {_shown({name: have.get(name, '(no such value)') for name in names})}")
+    if wanted and not found:
+        lines.append("+ (no situation)")
+    if found and not wanted:
+        lines.insert(0, "- (no situation)")
     return "" if is_equal else "\n".join(lines)
 
 

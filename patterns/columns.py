@@ -42,10 +42,7 @@ class Places:
         if shape.units == "pixels":
             return None
         if shape.source not in self.frame_sizes:
-            raise FrameSizeUnknown(
-                f"{name!r} is in normalised coordinates of source {shape.source!r}, whose frame size is not known; "
-                "give it with set_frame_size, or write the coordinates with `units: pixels`"
-            )
+            raise FrameSizeUnknown(name, shape.source)
         return self.frame_sizes[shape.source]
 
 

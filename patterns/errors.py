@@ -64,7 +64,20 @@ class LimitError(MatchError):
 
 
 class FrameSizeUnknown(MatchError):
-    """A normalised zone or line met a row of a source whose frame size is not known."""
+    """A normalised zone or line met a row of a source whose frame size is not known.
+
+    Attributes:
+        shape: Name of the zone or line.
+        source: Its source.
+    """
+
+    def __init__(self, shape: str, source: str) -> None:
+        super().__init__(
+            f"{shape!r} is in normalised coordinates of source {source!r}, whose frame size is not known: no "
+            "video_added of it came before. Next: write the coordinates with `units: pixels`"
+        )
+        self.shape = shape
+        self.source = source
 
 
 class StateError(PatternError):

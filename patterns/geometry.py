@@ -50,10 +50,12 @@ class _Shape(BaseModel):
 class Zone(_Shape):
     """A polygon in the image of one source; three points or more, not crossing itself."""
 
-    polygon: tuple[Point, ...] = Field(min_length=3)
+    polygon: tuple[Point, ...]
 
     @model_validator(mode="after")
     def _is_a_polygon(self) -> Self:
+        if len(self.polygon) < 3:
+            raise ValueError(f"a polygon needs 3 points or more, got {len(self.polygon)}")
         self._check_normalised(self.polygon)
         polygon = shapely.Polygon(self.polygon)
         if not polygon.is_valid or polygon.area == 0:

@@ -2,11 +2,12 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from difflib import get_close_matches
 from typing import Literal
 
 import pyarrow as pa
 
-from patterns.binder import bind
+from patterns.binder import bind, pattern_variables
 from patterns.bound import BoundRule
 from patterns.errors import Place, RuleError
 from patterns.expressions import Crosses, Expr, InZone, walk
@@ -32,8 +33,13 @@ def check(rule: Rule, schemas: Mapping[str, pa.Schema]) -> list[Finding]:
     try:
         bound = bind(rule, schemas)
     except RuleError as error:
-        return [Finding("error", error.message, Place(error.file, error.line, error.column, error.excerpt))]
-    return [*_unused(bound), *_empty(bound), *_unbounded(bound), *_unchecked(bound)]
+        return [finding_of(error)]
+    return [*_unused(bound), *_undefined(bound), *_empty(bound), *_unbounded(bound), *_unchecked(bound)]
+
+
+def finding_of(error: RuleError) -> Finding:
+    """The error as a finding."""
+    return Finding("error", error.message, Place(error.file, error.line, error.column, error.excerpt))
 
 
 def _unused(bound: BoundRule) -> list[Finding]:
@@ -58,6 +64,26 @@ def _unused(bound: BoundRule) -> list[Finding]:
         for name in rule.params if f":{name}" not in text
     ]  # fmt: skip
     return findings
+
+
+def _undefined(bound: BoundRule) -> list[Finding]:
+    """Variables without DEFINE that may be slips of the pen: their names are like that of one that has it.
+
+    Others are left alone: a variable that any row fits is standard SQL, and usual.
+    """
+    passage = bound.rule.passage("match")
+    query = parse(passage)
+    defined = {define.name.key: define.name.name for define in query.defines}
+    findings: dict[str, Finding] = {}
+    for variable in pattern_variables(query.pattern):
+        like = get_close_matches(variable.key, defined, n=1)
+        if variable.key not in defined and like:
+            message = (
+                f"{variable.name} has no DEFINE: it is true for every row. Next: define it, "
+                f"or write {defined[like[0]]} if that is meant"
+            )
+            findings.setdefault(variable.key, Finding("warning", message, passage.place(variable.at)))
+    return list(findings.values())
 
 
 def _empty(bound: BoundRule) -> list[Finding]:

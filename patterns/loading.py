@@ -34,18 +34,21 @@ def load_rules(path: Path) -> list[Rule]:
         RuleError: A file that is not a rule, or two rules of one name.
         OSError: A file that cannot be read.
     """
-    path = Path(path)
-    if not path.is_dir():
-        return [load_rule(path)]
-    files = sorted(each for each in path.iterdir() if each.suffix in (".yaml", ".yml"))
     rules: dict[str, Rule] = {}
-    for file in files:
+    for file in rule_files(Path(path)):
         rule = load_rule(file)
         if rule.rule in rules:
             other = rules[rule.rule].path
             raise rule.passage("rule").error(f"rule {rule.rule!r} is also defined in {other}", 0)
         rules[rule.rule] = rule
     return list(rules.values())
+
+
+def rule_files(path: Path) -> list[Path]:
+    """The file itself, or all `*.yaml` and `*.yml` files of a directory, by name."""
+    if not path.is_dir():
+        return [path]
+    return sorted(each for each in path.iterdir() if each.suffix in (".yaml", ".yml"))
 
 
 def load_rule(path: Path) -> Rule:
@@ -184,6 +187,8 @@ def _pointed(error: ValidationError, passages: Mapping[KeyPath, Passage]) -> Rul
         location = (*location, "[key]")
     elif first["type"] == "missing":
         message = "this key is missing"
+    elif first["type"] != "value_error" and isinstance(first["input"], str | int | float):
+        message += f", got {first['input']!r}"
     for length in range(len(location), -1, -1):
         if location[:length] in passages:
             return passages[location[:length]].error(f"{shown}: {message}", 0)

@@ -97,13 +97,13 @@ class _Parser:
 
     def clauses(self, source_type: Identifier, where: Scalar | None) -> Query:
         partition_by = self.partition_by()
-        self.order_by()
+        self.order_by("ORDER BY time" if partition_by else "PARTITION BY or ORDER BY")
         measures = self.measures()
         self.rows_per_match()
         skip = self.after_match()
         self.no_search_mode()
         pattern, pattern_at = self.pattern()
-        within = self.scalar("WITHIN") if self.accept("WITHIN") else None
+        within = self.within() if self.accept("WITHIN") else None
         if self.key() == "SUBSET":
             self.refuse("SUBSET")
         defines = self.defines()
@@ -121,8 +121,8 @@ class _Parser:
             columns.append(self.identifier("a column to partition by"))
         return tuple(columns)
 
-    def order_by(self) -> None:
-        self.expect("ORDER", "PARTITION BY or ORDER BY")
+    def order_by(self, wanted_here: str) -> None:
+        self.expect("ORDER", wanted_here)
         self.expect("BY")
         for position, wanted in enumerate(("TIME", "SEQUENCE")):
             if position > 0 and not self.accept(","):
@@ -191,6 +191,12 @@ class _Parser:
         while self.has_word() and self.words[self.index].start < end:
             self.index += 1
         return tree, at
+
+    def within(self) -> Scalar:
+        if self.key()[:1] in "'0123456789" and self.names_something(1) and self.key(1) not in _CLAUSES:
+            shown = " ".join(word.text for word in self.words[self.index : self.index + 2])
+            self.fail(f"WITHIN: wanted INTERVAL '10' SECOND or :parameter, got {shown}")
+        return self.scalar("WITHIN")
 
     def defines(self) -> tuple[Named, ...]:
         if self.key() == ")":

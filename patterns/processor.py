@@ -33,6 +33,7 @@ from events import (
     Segment,
     SituationDetected,
     StreamName,
+    UnknownType,
     VideoAdded,
     batch_of,
     decode,
@@ -150,6 +151,9 @@ class Processor:
         self._rules = list(rules)
         self._running: list[_Running] = []
         self._is_stale = False
+        self.segments_skipped = 0
+        """Segments of a type or version unknown here, which took no part."""
+        self._unknown = 0
         self._restore()
         types = {each.type_name for each in _CONTROL} | {running.run.bound.type for running in self._running}
         self._subscription = Subscription(log, "rules", types=sorted(types))
@@ -185,6 +189,7 @@ class Processor:
         # Until the commit the rules' state is ahead of the log; if that fails, both begin again from there.
         self._is_stale = True
         self._subscription.position = before
+        self._unknown = 0
         try:
             drafts = [draft for segment in delivery.segments for draft in self._found(segment)]
             drafts += self._found_idle() if delivery.is_caught_up else []
@@ -195,6 +200,7 @@ class Processor:
             return Step(before, False, 0)
         self._is_stale = False
         self._subscription.position = delivery.position
+        self.segments_skipped += self._unknown
         return Step(delivery.position, delivery.is_caught_up, sum(draft.event_count for draft in drafts))
 
     def catch_up(self) -> int:
@@ -214,7 +220,12 @@ class Processor:
 
     def _found(self, segment: Segment) -> list[Draft]:
         """The situations that a segment makes final, as one draft for each rule and source."""
-        batch = decode(segment, self._log.catalogue)
+        try:
+            batch = decode(segment, self._log.catalogue)
+        except UnknownType as error:
+            self._unknown += 1
+            logger.warning("no rule sees the segment at position %d: %s", segment.position, error)
+            return []
         rows = with_envelope(segment.stream, segment.header.first_sequence, batch)
         events = events_of(batch) if batch.type in _CONTROL else []
         drafts = []

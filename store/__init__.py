@@ -18,11 +18,14 @@ from store.errors import (
     StoreError,
     WrongMajor,
 )
-from store.log import Appended, Checkpoint, Log, StreamHead, Transaction, open_log
+from store.journal import Journal
+from store.log import Checkpoint, Log, StreamHead, Transaction, open_log
 from store.projector import Projector
 from store.restoring import Restore, note_restored, restore, verify_restored
+from store.shared import SharedAppender, Stored
 from store.subscription import Delivery, Subscription
 from store.verification import Verification, verify
+from store.writing import Appended
 
 __all__ = [
     "Appended",
@@ -35,13 +38,16 @@ __all__ = [
     "Checkpoint",
     "DatabaseDamaged",
     "Delivery",
+    "Journal",
     "Log",
     "LogUnavailable",
     "Projector",
     "Restore",
     "SchemaMismatch",
     "SequenceConflict",
+    "SharedAppender",
     "StoreError",
+    "Stored",
     "StreamHead",
     "Subscription",
     "Transaction",

@@ -12,9 +12,10 @@ import time
 from collections.abc import Callable, Sequence
 from typing import TypeVar
 
-from events import Draft, EventBatch, Producer, StreamName, encode
+from events import Draft, EventBatch, InvalidEvent, Producer, StreamName, encode
 from store.errors import LogUnavailable
-from store.log import Appended, Log
+from store.log import Log
+from store.writing import Appended
 
 T = TypeVar("T")
 
@@ -62,12 +63,16 @@ class Appender:
         Raises:
             LogUnavailable: The database stayed away for `wait_s`; the same call may be made again.
             SequenceConflict: Somebody else appended to one of the streams.
-            InvalidEvent: A batch cannot be encoded; nothing of the call is stored.
+            InvalidEvent: A batch is empty or cannot be encoded; nothing of the call is stored.
+            UnknownType: A batch is of a type that the log's catalogue does not hold; nothing is stored.
         """
         drafts: list[Draft] = []
         expected: list[int | None] = []
         heads: dict[StreamName, int] = {}
         for stream, batch in batches:
+            self._log.catalogue.check_registered(batch.type)
+            if not len(batch):
+                raise InvalidEvent(f"{stream}: an append holds one event or more, got an empty batch")
             head = heads[stream] if stream in heads else self._head(stream)
             fresh = self._unstored(stream, head, batch)
             heads[stream] = head + len(batch)

@@ -161,9 +161,7 @@ def _moment(log: Log) -> _Moment:
     """Head, streams and checkpoints in one snapshot: a checkpoint never speaks of output that is not there."""
     with log.connection() as connection, connection.transaction():
         connection.execute("set transaction isolation level repeatable read read only")
-        head = connection.execute(
-            "select position, epoch, case when position > 0 then recorded_at else 'epoch' end from log_head"
-        ).fetchone()
+        head = connection.execute("select position, epoch, recorded_at from log_head").fetchone()
         assert head is not None, "a log has its one row"
         checkpoints = connection.execute(
             "select name, position, state from checkpoints order by name", binary=True

@@ -9,6 +9,7 @@ A `Log` may be used by several threads. It runs as the role `vian_writer`, which
 delete anything in the log.
 """
 
+import select
 import shutil
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -23,9 +24,9 @@ from psycopg_pool import ConnectionPool, PoolTimeout
 from events import Catalogue, Draft, EventType, Position, Segment, StreamName, load_catalogue
 from store.embedded import EmbeddedServer
 from store.errors import BadRequest, ChainBroken, DatabaseDamaged, LogUnavailable
-from store.reading import Filter, TimeOrNone, read_query, segment_of, stream_query
+from store.reading import Filter, TimeOrNone, check_not_negative, read_query, segment_of, stream_query
 from store.schema import migrate, safe_dsn
-from store.writing import APPEND, append_error, append_parameters
+from store.writing import APPEND, Appended, append_answer, append_error, append_parameters
 
 T = TypeVar("T")
 
@@ -37,17 +38,6 @@ _ROOM_BYTES = 32 * 2**20
 """With less room on its disk PostgreSQL may not be able to go on: it takes it in files of 16 MiB."""
 READ_SEGMENTS = 500
 """Segments fetched from the database at a time."""
-
-
-@dataclass(frozen=True, slots=True)
-class Appended:
-    """What became of one draft."""
-
-    position: int
-    first_sequence: int
-    chain_hash: bytes
-    was_there: bool
-    """It was a re-sent segment: acknowledged, not stored again."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,25 +89,9 @@ class Transaction:
         Raises:
             SequenceConflict: A stream stands elsewhere, or holds other bytes there.
             ChainBroken: A chain hash comes out different.
-            BadRequest: The lists differ in length.
+            BadRequest: The lists differ in length, or an expected sequence is negative.
         """
-        if not drafts:
-            return []
-        for name, given in (("expected", expected), ("epochs", epochs), ("chain_hashes", chain_hashes)):
-            if given is not None and len(given) != len(drafts):
-                raise BadRequest(f"{name} must have one entry a draft: got {len(given)} for {len(drafts)} drafts")
-        count = len(drafts)
-        parameters = append_parameters(
-            drafts,
-            expected or [None] * count,
-            epochs or [self._epoch] * count,
-            chain_hashes or [None] * count,
-        )
-        try:
-            rows = self.connection.execute(APPEND, parameters, binary=True).fetchall()
-        except psycopg.Error as error:
-            raise append_error(error, drafts, expected) from error
-        return [Appended(*row) for row in rows]
+        return _append(self.connection, self._epoch, drafts, expected, epochs, chain_hashes)
 
     def save_checkpoint(self, name: str, position: int, state: bytes = b"") -> None:
         """Set the subscriber's checkpoint."""
@@ -243,9 +217,9 @@ class Log:
         epochs: Sequence[int] | None = None,
         chain_hashes: Sequence[bytes] | None = None,
     ) -> list[Appended]:
-        """Append the drafts in a transaction of their own; see `Transaction.append`."""
-        with self.transaction() as transaction:
-            return transaction.append(drafts, expected, epochs=epochs, chain_hashes=chain_hashes)
+        """Append the drafts in a transaction of their own and one round trip; see `Transaction.append`."""
+        with self.connection() as connection:
+            return _append(connection, self.epoch, drafts, expected, epochs, chain_hashes)
 
     def read(self, stream: StreamName, from_sequence: int = 1, *, epoch: int | None = None) -> Iterator[Segment]:
         """The stream's segments that hold `from_sequence` or a later event, in order.
@@ -256,9 +230,13 @@ class Log:
             epoch: Which life of the stream; its newest by default.
 
         Raises:
+            BadRequest: `from_sequence` is negative.
             ChainBroken: A stored segment is one that no log can hold; `vian verify` tells more.
         """
-        at = from_sequence
+        check_not_negative(f"{stream}: from_sequence", from_sequence)
+        return self._read(stream, from_sequence, epoch)
+
+    def _read(self, stream: StreamName, at: int, epoch: int | None) -> Iterator[Segment]:
         while True:
             segments = self._segments(*stream_query(stream, epoch, at, READ_SEGMENTS))
             yield from segments
@@ -289,11 +267,14 @@ class Log:
             to_position: The last position wanted; the log's head at the time of the call by default.
 
         Raises:
+            BadRequest: `from_position` is negative, or a time is naive.
             ChainBroken: A stored segment is one that no log can hold; `vian verify` tells more.
         """
+        check_not_negative("from_position", from_position)
+        return self._read_all(from_position, to_position, Filter(types, sources, stations, since, until))
+
+    def _read_all(self, at: int, to_position: int | None, chosen: Filter) -> Iterator[Segment]:
         end = to_position if to_position is not None else self.head()
-        chosen = Filter(types, sources, stations, since, until)
-        at = from_position
         while at <= end:
             segments = self.page(at, end, chosen, READ_SEGMENTS)
             yield from segments
@@ -388,6 +369,8 @@ class Log:
             except PoolTimeout:
                 self._knock()
                 connection = self._pool.getconn()
+            if not _has_been_told(connection):
+                return connection
             try:
                 ConnectionPool.check_connection(connection)
             except psycopg.OperationalError:
@@ -448,6 +431,34 @@ def _damaged(error: psycopg.InternalError) -> Exception:
     )
 
 
+def _append(
+    connection: psycopg.Connection[Any],
+    epoch: int,
+    drafts: Sequence[Draft],
+    expected: Sequence[int | None] | None,
+    epochs: Sequence[int] | None,
+    chain_hashes: Sequence[bytes] | None,
+) -> list[Appended]:
+    if not drafts:
+        return []
+    for name, given in (("expected", expected), ("epochs", epochs), ("chain_hashes", chain_hashes)):
+        if given is not None and len(given) != len(drafts):
+            raise BadRequest(f"{name} must have one entry a draft: got {len(given)} for {len(drafts)} drafts")
+    for draft, sequence in zip(drafts, expected or (), strict=False):
+        if sequence is not None:
+            check_not_negative(f"{draft.stream}: expected", sequence)
+    count = len(drafts)
+    parameters = append_parameters(
+        drafts, expected or [None] * count, epochs or [epoch] * count, chain_hashes or [None] * count
+    )
+    try:
+        row = connection.execute(APPEND, parameters, prepare=True, binary=True).fetchone()
+    except psycopg.Error as error:
+        raise append_error(error, drafts, expected) from error
+    assert row is not None, "the function answers in one row"
+    return append_answer(row)
+
+
 @contextmanager
 def _left_clean(connection: psycopg.Connection[Any]) -> Iterator[None]:
     """Close the connection if an interrupt leaves a command running on it: it cannot be rolled back."""
@@ -457,6 +468,13 @@ def _left_clean(connection: psycopg.Connection[Any]) -> Iterator[None]:
         if connection.info.transaction_status == psycopg.pq.TransactionStatus.ACTIVE:
             connection.close()
         raise
+
+
+def _has_been_told(connection: psycopg.Connection[Any]) -> bool:
+    """Whether the server has said something unasked: that it ends, most often. No round trip."""
+    listening = select.poll()
+    listening.register(connection.fileno(), select.POLLIN)
+    return bool(listening.poll(0))
 
 
 def open_log(*, data_dir: Path | None = None, dsn: str | None = None, catalogue: Catalogue | None = None) -> Log:

@@ -55,6 +55,16 @@ class Filter:
                 raise BadRequest(f"{name} must be aware of its time zone, got {time.isoformat()}")
 
 
+def check_not_negative(what: str, number: int) -> None:
+    """Nothing, if the sequence or position is 0 or more.
+
+    Raises:
+        BadRequest: It is negative.
+    """
+    if number < 0:
+        raise BadRequest(f"{what} must be 0 or more, got {number}")
+
+
 def read_query(from_position: int, to_position: int, chosen: Filter, limit: int) -> tuple[str, dict[str, Any]]:
     """The query for a page of the log, in order of position, and its parameters."""
     wanted: dict[str, tuple[str, Any]] = {

@@ -37,8 +37,8 @@ log_head = sa.Table(
         "recorded_at",
         TIMESTAMP,
         nullable=False,
-        server_default=sa.text("'-infinity'"),
-        comment="when the newest segment was taken (UTC); -infinity when there is none",
+        server_default=sa.text("'1970-01-01 00:00:00+00'"),
+        comment="when the newest segment was taken (UTC); 1970 when there is none",
     ),
     comment="One row: where the log stands. Its lock orders commits.",
 )

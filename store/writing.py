@@ -1,10 +1,13 @@
-"""What the append function is sent, and what its refusals mean.
+"""What the append function is sent, what it answers, and what its refusals mean.
 
-Contract: pure functions; the statement is `migrations/sql/*_append_segments.sql`.
+Contract: pure functions; the statement is the newest `migrations/sql/*_append_segments.sql`. Streams and
+producers go once each, payloads and hashes end to end in one value each: few large values are what
+PostgreSQL takes in fastest.
 """
 
 import json
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import psycopg
@@ -13,11 +16,22 @@ from events import Draft
 from store.errors import ChainBroken, LogUnavailable, SequenceConflict, StoreError
 
 APPEND = (
-    "select out_position, out_first_sequence, out_chain_hash, duplicate from append_segments("
-    "%s::int[], %s::text[], %s::text[], %s::text[], %s::bigint[], %s::int[], %s::int[], %s::timestamptz[], "
-    "%s::timestamptz[], %s::text[], %s::text[], %b::bytea[], %b::bytea[], %b::bytea[], %b::bytea[]) "
-    "order by ordinal"
+    "select positions, first_sequences, chain_hashes, duplicates from append_segments("
+    "%s::int[], %s::text[], %s::text[], %s::text[], %s::text[], %s::text[], %s::bytea[], %s::int[], %s::int[], "
+    "%s::bigint[], %s::int[], %s::int[], %s::timestamptz[], %s::timestamptz[], %s::bytea[], %s::int[], %s, %s)"
 )
+_HASH_BYTES = 32
+
+
+@dataclass(frozen=True, slots=True)
+class Appended:
+    """What became of one draft."""
+
+    position: int
+    first_sequence: int
+    chain_hash: bytes
+    was_there: bool
+    """It was a re-sent segment: acknowledged, not stored again."""
 
 
 def append_parameters(
@@ -26,24 +40,37 @@ def append_parameters(
     epochs: Sequence[int],
     chain_hashes: Sequence[bytes | None],
 ) -> list[Any]:
-    """The columns of the call, one entry a draft in each."""
+    """The columns of the call: streams, producers, segments, bytes."""
+    named = [(epoch, draft.stream) for epoch, draft in zip(epochs, drafts, strict=True)]
+    streams = {key: place for place, key in enumerate(dict.fromkeys(named), 1)}
+    producers = {key: place for place, key in enumerate(dict.fromkeys(draft.producer for draft in drafts), 1)}
     return [
-        list(epochs),
-        [draft.stream.station for draft in drafts],
-        [draft.stream.source for draft in drafts],
-        [draft.stream.type for draft in drafts],
+        [epoch for epoch, _ in streams],
+        [stream.station for _, stream in streams],
+        [stream.source for _, stream in streams],
+        [stream.type for _, stream in streams],
+        [producer.name for producer in producers],
+        [producer.version for producer in producers],
+        [producer.configuration_hash for producer in producers],
+        [streams[key] for key in named],
+        [producers[draft.producer] for draft in drafts],
         list(expected),
         [draft.event_count for draft in drafts],
         [draft.schema_version for draft in drafts],
         [draft.time_min for draft in drafts],
         [draft.time_max for draft in drafts],
-        [draft.producer.name for draft in drafts],
-        [draft.producer.version for draft in drafts],
-        [draft.producer.configuration_hash for draft in drafts],
-        [draft.payload for draft in drafts],
-        [draft.payload_hash for draft in drafts],
         list(chain_hashes),
+        [len(draft.payload) for draft in drafts],
+        b"".join(draft.payload_hash for draft in drafts),
+        b"".join(draft.payload for draft in drafts),
     ]
+
+
+def append_answer(row: Sequence[Any]) -> list[Appended]:
+    """What the function's one row says of each draft."""
+    positions, first_sequences, hashes, duplicates = row
+    chain_hashes = [hashes[at : at + _HASH_BYTES] for at in range(0, len(hashes), _HASH_BYTES)]
+    return [Appended(*each) for each in zip(positions, first_sequences, chain_hashes, duplicates, strict=True)]
 
 
 def append_error(error: psycopg.Error, drafts: Sequence[Draft], expected: Sequence[int | None] | None) -> Exception:

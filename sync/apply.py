@@ -131,7 +131,7 @@ def _check(log: Log, station: Station, segments: list[Segment]) -> None:
             got, wanted = f"payload {payload_hash.hex()}", f"payload {segment.payload_hash.hex()}"
             raise _corrupt(segment, "bad_payload", got, wanted)
         try:
-            decode(segment, log.catalogue)
+            decode(segment, log.catalogue, as_stored=True)
         except UnknownType:
             pass  # A newer station's: kept, shipped on and verified; whoever reads it is told.
         except CorruptSegment as error:

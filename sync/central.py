@@ -20,7 +20,7 @@ from events import Station
 from store import Log, LogUnavailable
 from sync.apply import answer_hello, apply
 from sync.errors import Refusal
-from sync.grants import Grants
+from sync.grants import Grantor, Grants
 from sync.wire import (
     BODY_BYTES_MAX,
     HELLO_BYTES_MAX,
@@ -53,7 +53,7 @@ class Limits:
 
 def router(
     log: Log,
-    grants: Grants,
+    grants: Grantor,
     limits: Limits | None = None,
     now: Callable[[], datetime] = lambda: datetime.now(UTC),
 ) -> APIRouter:
@@ -154,7 +154,7 @@ def _unavailable(error: LogUnavailable) -> Refusal:
     )
 
 
-def _authenticated(request: Request, grants: Grants) -> Station:
+def _authenticated(request: Request, grants: Grantor) -> Station:
     scheme, _, token = request.headers.get("authorization", "").partition(" ")
     is_bearer = scheme.lower() == "bearer"
     station = grants.station_of(token.strip()) if is_bearer else None

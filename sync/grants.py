@@ -9,12 +9,20 @@ import hashlib
 import hmac
 import re
 from collections.abc import Mapping
+from typing import Protocol
 
 from events import InvalidName, Station, station_name
 from sync.errors import GrantError
 
 _HASH = re.compile(r"[0-9a-f]{64}")
 _TOKEN = re.compile(r"[\x21-\x7e]{16,512}")
+
+
+class Grantor(Protocol):
+    """Who knows the tokens that central accepts now."""
+
+    def station_of(self, token: str) -> Station | None:
+        """The station for which the token speaks; None if there is none. Does not raise; asked for every request."""
 
 
 class Grants:

@@ -85,6 +85,7 @@ def documented(heading: str) -> set[str]:
         ("At run time", PROJECT["project"]["dependencies"]),
         ("Extras", [each for extra in PROJECT["project"]["optional-dependencies"].values() for each in extra]),
         ("For development", PROJECT["dependency-groups"]["dev"]),
+        ("For benchmarks", PROJECT["dependency-groups"]["bench"]),
     ],
 )
 def test_every_dependency_has_its_reason_in_the_docs(heading: str, requirements: list[str]) -> None:

@@ -7,6 +7,7 @@ import socket
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import uvicorn
 from fastapi import FastAPI
@@ -14,16 +15,22 @@ from fastapi.responses import JSONResponse
 
 from store import Log, LogUnavailable
 from sync.central import router
-from sync.grants import Grants
+from sync.grants import Grantor
 from vian.errors import WorldFailed
 from vian.version import VERSION
 
 _START_SECONDS_MAX = 15.0
 
 
-def create_app(log: Log, grants: Grants | None) -> FastAPI:
+def create_app(log: Log, grants: Grantor | None) -> FastAPI:
     """The application over a log; with grants it takes stations' segments."""
-    app = FastAPI(title="ViAn", version=VERSION)
+    # The pages of documentation that FastAPI would serve need a CDN; the schema itself is served.
+    app = FastAPI(title="ViAn", version=VERSION, docs_url=None, redoc_url=None)
+
+    @app.get("/")
+    def root() -> dict[str, Any]:
+        """What is served here."""
+        return {"program": "vian", "version": VERSION, "paths": _paths(app)}
 
     @app.get("/health", responses={503: {"description": "the database is away"}})
     def health() -> JSONResponse:
@@ -36,6 +43,13 @@ def create_app(log: Log, grants: Grants | None) -> FastAPI:
     if grants is not None:
         app.include_router(router(log, grants))
     return app
+
+
+def _paths(app: FastAPI) -> dict[str, str]:
+    """Each path and the methods that it takes."""
+    return {path: ", ".join(methods).upper() for path, methods in app.openapi()["paths"].items()} | {
+        "/openapi.json": "GET"
+    }
 
 
 def bind(host: str, port: int) -> socket.socket:

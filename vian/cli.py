@@ -1,26 +1,88 @@
 """The command `vian`: which commands there are, and what an error looks like.
 
 Exit codes: 0 done; 1 the world failed; 2 wrong usage; 130 interrupted with Ctrl-C or SIGTERM (what
-was stored stays; the same command goes on where it stopped).
+was stored stays; the same command goes on where it stopped). `vian serve` is a service: told to
+stop, it did what it was told, and ends with 0.
 """
 
 import os
 import sys
+from collections.abc import Iterator, MutableMapping
+from importlib import import_module
 from typing import Annotated, Any
 
 import typer
+import typer.main
 from rich.console import Console
 from rich.text import Text
 from typer.core import TyperGroup
 
-from events import CorruptSegment
 from vian import logs
-from vian.commands import backup, demo, doctor, extract, log, query, rules, serve, station, sync, upgrade
 from vian.entry import INTERRUPTED
-from vian.errors import EXPECTED, exit_code
+from vian.errors import exit_code, expected, told
 from vian.version import VERSION
 
-_LOOK_CLOSER = ". Next: vian verify, which says what is wrong with which position"
+MODULES = {
+    "demo": "demo",
+    "query": "query",
+    "streams": "log",
+    "tail": "log",
+    "project": "log",
+    "psql": "log",
+    "verify": "log",
+    "events": "events",
+    "sync": "sync",
+    "serve": "serve",
+    "doctor": "doctor",
+    "extract": "extract",
+    "rules": "rules",
+    "station": "station",
+    "backup": "backup",
+    "restore": "backup",
+    "upgrade": "upgrade",
+}
+"""Each command or group of commands, in the order of the help, and the module of `vian.commands` that has it."""
+
+
+class _Loaded(MutableMapping[str, Any]):
+    """The commands by name, each imported when it is first looked up.
+
+    `vian streams` shall not wait for OpenCV, and not pay for it.
+    """
+
+    def __init__(self) -> None:
+        self._known: dict[str, Any] = {}
+
+    def __getitem__(self, name: str) -> Any:
+        if name not in self._known:
+            self._known.update(_commands_of(MODULES[name]))
+        return self._known[name]
+
+    def __setitem__(self, name: str, command: Any) -> None:
+        self._known[name] = command
+
+    def __delitem__(self, name: str) -> None:
+        del self._known[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(MODULES)
+
+    def __len__(self) -> int:
+        return len(MODULES)
+
+    def __contains__(self, name: object) -> bool:
+        return name in MODULES
+
+
+def _commands_of(module_name: str) -> dict[str, Any]:
+    """The commands of a module: those that it registers, or the group that it is."""
+    module = import_module(f"vian.commands.{module_name}")
+    collected = typer.Typer()
+    if hasattr(module, "register"):
+        module.register(collected)
+    else:
+        collected.add_typer(module.app, name=module_name)
+    return dict(typer.main.get_group(collected).commands)
 
 
 class Commands(TyperGroup):
@@ -29,13 +91,19 @@ class Commands(TyperGroup):
     Here and not around `app()`, because Typer answers an interrupt and a broken pipe itself there.
     """
 
+    def __init__(self, **given: Any) -> None:
+        super().__init__(**{**given, "commands": _Loaded()})
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """The names in the order of the help."""
+        return list(self.commands)
+
     def invoke(self, ctx: Any) -> Any:
         """Run the command that was named."""
         try:
             return super().invoke(ctx)
-        except EXPECTED as error:
-            is_unexplained = isinstance(error, CorruptSegment) and "Next: " not in str(error)
-            _tell(str(error) + (_LOOK_CLOSER if is_unexplained else ""))
+        except expected() as error:
+            _tell(told(error))
             raise typer.Exit(exit_code(error)) from error
         except BrokenPipeError as error:
             # The reader of our output has gone (`vian tail | head`): leave quietly.
@@ -55,11 +123,6 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-app.add_typer(extract.app, name="extract")
-app.add_typer(rules.app, name="rules")
-app.add_typer(station.app, name="station")
-for module in (demo, query, log, sync, serve, doctor, backup, upgrade):
-    module.register(app)
 
 
 def _version(wanted: bool) -> None:

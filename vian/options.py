@@ -1,6 +1,6 @@
 """Options that many commands share, and how a command opens the log they name."""
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
@@ -45,9 +45,21 @@ def open_from(settings: Settings, *, data_dir: Path | None = None) -> Log:
 def has_log(data_dir: Path) -> bool:
     """Whether there is an embedded log in the folder, or something that keeps one from looking."""
     try:
-        return (data_dir / "pg").exists()
+        return (data_dir / "pg" / "PG_VERSION").exists()
     except PermissionError:
         return True  # opening it says what is the matter
+
+
+def _what_is_there(data_dir: Path) -> str:
+    """What stands where a log was wanted."""
+    if not data_dir.exists():
+        return "there is no such folder"
+    if not data_dir.is_dir():
+        return "it is a file"
+    if (data_dir / "PG_VERSION").exists():
+        return f"it is the inside of one; give {data_dir.parent}"
+    names = sorted(path.name for path in data_dir.iterdir())
+    return f"it holds {', '.join(names[:3])}{', ...' if len(names) > 3 else ''}" if names else "it is empty"
 
 
 @contextmanager
@@ -66,8 +78,8 @@ def opened(settings: Settings, *, data_dir: Path | None = None, is_made: bool = 
     is_embedded = settings.dsn is None or data_dir is not None
     if is_embedded and not is_made and not has_log(settings.data_dir):
         raise WorldFailed(
-            f"there is no log in {settings.data_dir}. Next: vian demo or vian extract makes one; "
-            "for one that is elsewhere give --data-dir DIR or --dsn URL"
+            f"there is no log in {settings.data_dir} ({_what_is_there(settings.data_dir)}). "
+            "Next: vian demo or vian extract makes one; for one that is elsewhere give --data-dir DIR or --dsn URL"
         )
     with open_from(settings, data_dir=data_dir) as log:
         yield log
@@ -89,3 +101,19 @@ def time_of(option: str, text: str | None) -> datetime | None:
         return time.replace(tzinfo=UTC) if time.tzinfo is None else time.astimezone(UTC)
     except OverflowError as error:
         raise WrongUsage(f"{option} must lie in the years 1 to 9999 of UTC, got {text!r}") from error
+
+
+def has_zone(text: str) -> bool:
+    """Whether the text of a time says its time zone."""
+    return datetime.fromisoformat(text).tzinfo is not None
+
+
+def check_known(what: str, wanted: Sequence[str] | None, known: Collection[str]) -> None:
+    """Refuse a name that nothing in the log bears: an empty answer would hide the slip.
+
+    Raises:
+        WrongUsage: One of the wanted names is not known.
+    """
+    unknown = sorted(set(wanted or ()) - set(known))
+    if unknown:
+        raise WrongUsage(f"no {what} {unknown[0]!r} in this log; known: {', '.join(sorted(known)) or 'none yet'}")

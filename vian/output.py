@@ -94,7 +94,10 @@ class Output:
         self.stream.flush()
 
     def table(self, title: str, columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
-        """Print rows: a table for people, an object a line for machines."""
+        """Print rows: a table for people, an object a line for machines.
+
+        A single row that is wider than the terminal is turned on its side: a line for each value.
+        """
         if self.is_json:
             for row in rows:
                 self.line(to_json(dict(zip(columns, row, strict=True))))
@@ -102,9 +105,18 @@ class Output:
         table = Table(title=title or None, title_justify="left")
         for column in columns:
             table.add_column(Text(printable(column)), overflow="fold")
-        for row in rows:
-            table.add_row(*(Text(printable(_cell(value))) for value in row))
-        self.out.print(table)
+        shown = [[Text(printable(_cell(value))) for value in row] for row in rows]
+        for cells in shown:
+            table.add_row(*cells)
+        if len(shown) == 1 and _width(columns, shown[0]) > self.out.width:
+            self._on_its_side(columns, shown[0])
+        else:
+            self.out.print(table)
+
+    def _on_its_side(self, columns: Sequence[str], cells: Sequence[Text]) -> None:
+        width = max(len(printable(column)) for column in columns)
+        for column, cell in zip(columns, cells, strict=True):
+            self.line(f"{printable(column) + ':':{width + 1}} {cell.plain}".rstrip())
 
     @contextmanager
     def progress(self, what: str, total: float | None) -> Iterator["Bar"]:
@@ -130,6 +142,11 @@ class Bar:
     def at(self, done: float, total: float | None = None) -> None:
         """Show that so much is done, of a total that may be known only now."""
         self.bars.update(self.task, completed=done, total=total)
+
+
+def _width(columns: Sequence[str], cells: Sequence[Text]) -> int:
+    """Columns of the terminal that a table of one row takes when nothing in it is folded."""
+    return sum(max(len(printable(name)), cell.cell_len) + 3 for name, cell in zip(columns, cells, strict=True)) + 1
 
 
 def _cell(value: Any) -> str:

@@ -1,11 +1,15 @@
 """SQL over the log: DuckDB, each event type a table, straight from the segments.
 
 Contract: an answer rests on what the log held when the query began; projections are not needed.
-Only the types that a query names are decoded. Tables bear the columns of the row tables in
+Only the types that a query names are decoded, in their newest version; what is stored in a version newer than this
+program knows has no row in its type's table, and is counted. Tables bear the columns of the row tables in
 PostgreSQL, so a query means the same at both doors; `events` has the envelope of all types, and
 `streams` the heads.
 """
 
+import logging
+import re
+from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime
@@ -14,9 +18,12 @@ import duckdb
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from events import EventType, Segment, UnknownType, decode, schema_of, with_envelope
+from events import EventBatch, EventType, Segment, UnknownType, schema_of, with_envelope
 from store import Log
+from store.decoding import decoded
 from vian.errors import WrongUsage
+
+logger = logging.getLogger(__name__)
 
 _TIMESTAMP = pa.timestamp("us", tz="UTC")
 _FRONT = pa.schema(
@@ -43,6 +50,16 @@ _EVENTS = pa.schema(
         ("recorded_at", _TIMESTAMP),
     ]
 )
+_EXAMPLE = 'vian query "SELECT type, count(*) FROM events GROUP BY ALL"'
+_WRITES = (
+    duckdb.StatementType.INSERT,
+    duckdb.StatementType.UPDATE,
+    duckdb.StatementType.DELETE,
+    duckdb.StatementType.MERGE_INTO,
+    duckdb.StatementType.ALTER,
+    duckdb.StatementType.DROP,
+)
+_GUESS = re.compile(r"\nDid you mean [^\n]*")
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,6 +91,7 @@ def connect(log: Log, sql: str, scope: Scope) -> duckdb.DuckDBPyConnection:
     connection = duckdb.connect(config={"autoinstall_known_extensions": False, "python_enable_replacements": False})
     connection.execute("set timezone = 'UTC'")
     try:
+        _check_reads(connection.extract_statements(sql))
         names = connection.get_table_names(sql)
     except duckdb.Error as error:
         connection.close()
@@ -82,6 +100,18 @@ def connect(log: Log, sql: str, scope: Scope) -> duckdb.DuckDBPyConnection:
         if (table := _table(log, name, scope)) is not None:
             connection.register(name, table)
     return connection
+
+
+def _check_reads(statements: Sequence[duckdb.Statement]) -> None:
+    if not statements:
+        raise WrongUsage(f"the query is empty. Next: {_EXAMPLE}")
+    if len(statements) > 1:
+        raise WrongUsage(f"a query is one statement, got {len(statements)}. Next: ask one after the other")
+    if statements[0].type in _WRITES:
+        raise WrongUsage(
+            f"the log is append-only, and query only reads: wanted SELECT, got {statements[0].type.name}. "
+            f"Next: {_EXAMPLE}"
+        )
 
 
 def _table(log: Log, name: str, scope: Scope) -> pa.Table | None:
@@ -98,33 +128,32 @@ def _rows(log: Log, event_type: type[EventType], scope: Scope) -> pa.Table:
     """The row table of a type: envelope columns, then the type's fields."""
     payload = [field.remove_metadata() for field in schema_of(event_type) if field.name != "time"]
     schema = pa.schema([*_FRONT, *(pa.field(field.name, field.type) for field in payload)])
-    batches = (
-        _with_place(segment, log).select(schema.names).cast(schema)
-        for segment in _segments(log, [event_type.type_name], scope)
-    )
-    return pa.Table.from_batches(list(batches), schema=schema)
+    batches, unknown = [], Counter[str]()
+    for segment, events in decoded(_segments(log, [event_type.type_name], scope), log.catalogue):
+        if isinstance(events, UnknownType):
+            unknown[str(events)] += segment.header.event_count
+        else:
+            batches.append(_with_place(segment, events).select(schema.names).cast(schema))
+    for reason, count in unknown.items():
+        logger.warning("the answer leaves out %d events: %s", count, reason)
+    return pa.Table.from_batches(batches, schema=schema)
 
 
 def _events(log: Log, scope: Scope) -> pa.Table:
     """The envelope of all events, those of unknown types included."""
-    batches = [_envelope(segment, log) for segment in _segments(log, None, scope)]
-    return pa.Table.from_batches(batches, schema=_EVENTS)
+    segments = decoded(_segments(log, None, scope), log.catalogue)
+    return pa.Table.from_batches([_envelope(segment, events) for segment, events in segments], schema=_EVENTS)
 
 
-def _envelope(segment: Segment, log: Log) -> pa.RecordBatch:
-    try:
-        whole = _with_place(segment, log)
-    except UnknownType:
-        whole = _without_payload(segment)
+def _envelope(segment: Segment, events: EventBatch | UnknownType) -> pa.RecordBatch:
+    whole = _without_payload(segment) if isinstance(events, UnknownType) else _with_place(segment, events)
     prefix = pa.scalar(f"{segment.stream}/", pa.string())
     ids = pc.binary_join_element_wise(prefix, whole.column("sequence").cast(pa.string()), "")
     return pa.RecordBatch.from_arrays([ids, *(whole.column(name) for name in _EVENTS.names[1:])], schema=_EVENTS)
 
 
-def _with_place(segment: Segment, log: Log) -> pa.RecordBatch:
-    batch = decode(segment, log.catalogue)
-    whole = with_envelope(segment.stream, segment.header.first_sequence, batch)
-    return _placed(whole, segment)
+def _with_place(segment: Segment, events: EventBatch) -> pa.RecordBatch:
+    return _placed(with_envelope(segment.stream, segment.header.first_sequence, events), segment)
 
 
 def _without_payload(segment: Segment) -> pa.RecordBatch:
@@ -180,8 +209,10 @@ def _streams(log: Log) -> pa.Table:
 
 def _explained(error: duckdb.Error, log: Log) -> WrongUsage:
     known = ", ".join(["events", "streams", *sorted(_names(log.catalogue))])
-    text = str(error)
-    hint = f"\nTables: {known}." if isinstance(error, duckdb.CatalogException) else ""
+    text, hint = str(error), ""
+    if "Table with name" in text:
+        # DuckDB guesses among its own tables only: ours are there when the query names them.
+        text, hint = _GUESS.sub("", text), f"\nTables: {known}."
     if "match_recognize" in text.lower():
         hint = "\nMATCH_RECOGNIZE in queries is not supported yet; rules have it: vian rules run."
     return WrongUsage(f"the query is not right: {text}{hint}")

@@ -29,6 +29,8 @@ Every command takes `--help`. Results go to standard output; progress, notes and
 | 1 | the world failed: database, file, network; the message names the next step |
 | 2 | wrong usage: arguments, settings, rules, queries |
 | 130 | interrupted with Ctrl-C or SIGTERM; what was stored stays, and the same command goes on where it stopped |
+
+`vian serve` is a service: stopped with Ctrl-C or SIGTERM, it did what it was told, and ends with 0.
 """
 
 _SETTINGS = """\

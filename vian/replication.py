@@ -74,7 +74,8 @@ def station_daemon(
     if stations and station not in stations:
         raise WrongUsage(
             f"this log has no streams of station {station}, but of {', '.join(stations[:5])}. "
-            f"Next: give --station {stations[0]}, or set station in vian.toml"
+            f"Next: give --station {stations[0]} if central knows that name, else vian station add {stations[0]} "
+            f"there; or extract with --station {station}"
         )
     with httpx.Client(base_url=central, timeout=REQUEST_SECONDS_MAX, transport=transport) as client:
         yield Daemon(log, station_name(station), plan, client, token=token, now=now, random=random.random)

@@ -8,7 +8,8 @@ from typing import Any
 import structlog
 import yaml
 
-from patterns.loading import load_rules
+from patterns.loading import load_rules, rule_files
+from patterns.parser import parse
 from patterns.processor import Processor, deploy
 from patterns.rule import Rule
 from store import Log
@@ -45,6 +46,38 @@ def load_all(paths: Sequence[Path]) -> list[Rule]:
     return rules
 
 
+def files_of(paths: Sequence[Path]) -> list[Path]:
+    """The rule files of files and folders, in order, each once.
+
+    Raises:
+        WrongUsage: There are none, or a folder cannot be read.
+    """
+    try:
+        files = list(dict.fromkeys(file for path in paths for file in rule_files(path)))
+    except OSError as error:
+        raise WrongUsage(f"the folder {error.filename} cannot be read: {error.strerror}") from error
+    if not files:
+        raise WrongUsage(f"no rule files (*.yaml) in {', '.join(map(str, paths))}")
+    return files
+
+
+def misplaced(log: Log, rules: Sequence[Rule]) -> list[str]:
+    """A remark for each zone and line of a source that the log has no events of, where it has those of others."""
+    heads = log.streams()
+    remarks = []
+    for rule in rules:
+        wanted = parse(rule.passage("match")).source_type.name.lower()
+        sources = sorted({head.stream.source for head in heads if head.stream.type == wanted})
+        for kind, shapes in (("zone", rule.zones), ("line", rule.lines)):
+            remarks += [
+                f"{rule.rule}: {kind} {name!r} is of source {shape.source}, of which this log has no {wanted}; it has: "
+                f"{', '.join(sources)}. Next: change source in {rule.path or 'the rule'}, and its version"
+                for name, shape in shapes.items()
+                if sources and shape.source not in sources
+            ]
+    return remarks
+
+
 def file_text(rule: Rule) -> str:
     """The rule as a rule file: the file's own text, or what the rule says where it was changed after loading."""
     if rule.path is not None:
@@ -60,6 +93,8 @@ def deploy_all(log: Log, station: str, rules: Sequence[Rule]) -> list[Rule]:
 def processor_part(log: Log, station: str, path: Path) -> Part:
     """The rules of a file or folder, deployed and run as a supervised part."""
     rules = load_all([path])
+    for remark in misplaced(log, rules):
+        logger.warning("rule may find nothing", remark=remark)
     processor = Processor(log, station, rules, now=utc_now)
     deploy_all(log, station, rules)  # only once it is known that they fit
     told: set[str] = set()

@@ -8,10 +8,14 @@ import tempfile
 import tomllib
 from pathlib import Path
 
-from events import station_name
+import structlog
+
+from events import Station, station_name
 from sync.errors import GrantError
-from sync.grants import Grants, token_hash
+from sync.grants import Grants, checked_token, token_hash
 from vian.errors import WorldFailed, WrongUsage
+
+logger = structlog.get_logger()
 
 _TOKEN_BYTES = 32
 
@@ -26,6 +30,44 @@ def read_grants(path: Path) -> Grants:
         return Grants(_stations(_text(path), path))
     except GrantError as error:
         raise WrongUsage(f"{path}: {error}") from error
+
+
+class StationsFile:
+    """The stations of the file as it is now: one that is added may replicate, one whose line goes may not.
+
+    A file that cannot be read any more changes nothing; that is logged once.
+
+    Raises:
+        WrongUsage: At the start it cannot be read.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._seen = _signature(path)
+        self._grants = read_grants(path)
+
+    def station_of(self, token: str) -> Station | None:
+        """The station for which the token speaks; None if there is none."""
+        if (now := _signature(self._path)) != self._seen:
+            self._seen = now
+            self._read_again()
+        return self._grants.station_of(token)
+
+    def _read_again(self) -> None:
+        try:
+            self._grants = read_grants(self._path)
+            logger.info("the stations file was read again", file=str(self._path))
+        except WrongUsage as error:
+            logger.error("the stations stay as they were", error=str(error))
+
+
+def _signature(path: Path) -> tuple[int, int, int] | None:
+    """What changes when the file is written; None if it cannot be looked at."""
+    try:
+        stat = path.stat()
+    except OSError:
+        return None
+    return stat.st_mtime_ns, stat.st_size, stat.st_ino
 
 
 def add_station(path: Path, station: str, token_file: Path | None = None) -> str:
@@ -80,17 +122,20 @@ def read_token(path: Path) -> str:
     """The token that the file holds.
 
     Raises:
-        WrongUsage: The file cannot be read or is empty.
+        WrongUsage: The file cannot be read, is empty, or holds what cannot be a token.
     """
+    carry = "Next: carry over the file that vian station add NAME --token-file FILE wrote on central"
     try:
         token = path.read_text(encoding="utf-8").strip()
     except (OSError, UnicodeDecodeError) as error:
-        raise WrongUsage(
-            f"the token file {path} cannot be read: {error}. Next: vian station add, on central"
-        ) from error
+        raise WrongUsage(f"the token file {path} cannot be read: {error}. {carry}") from error
     if not token:
-        raise WrongUsage(f"the token file {path} is empty. Next: vian station add, on central")
-    return token
+        raise WrongUsage(f"the token file {path} is empty. {carry}")
+    try:
+        return checked_token(token)
+    except GrantError as error:
+        said = str(error).partition(". Next: ")[0]
+        raise WrongUsage(f"the token file {path} does not hold a token: {said}. {carry}") from error
 
 
 def _text(path: Path) -> str:

@@ -156,6 +156,7 @@ class Emission:
                 x_exit=path.last_xy[0],
                 y_exit=path.last_xy[1],
                 reason=track.end_reason,
+                displacement_px=float(np.hypot(*(path.last_xy - path.first_xy))),
             )
         )
 

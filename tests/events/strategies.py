@@ -1,7 +1,10 @@
-"""Hypothesis strategies for events, derived from the types' definitions: a new type needs no line here."""
+"""Hypothesis strategies for events, derived from the types' definitions: a new type needs no line here.
+
+`events` and `batches` give whatever a model or a stored segment can hold; `lawful_batches` what the door lets in.
+"""
 
 import json
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from types import NoneType
 from typing import Annotated, Any, Literal, get_args, get_origin
 
@@ -13,7 +16,8 @@ from pydantic import AwareDatetime, BaseModel
 from pydantic.fields import FieldInfo
 
 from events import EventBatch, EventType, Header, Part, Producer, Sequence, StreamName, batch_of_type
-from events.model import stored
+from events.door import TIME_END, TIME_MIN
+from events.model import AtDoor, stored
 
 INT64_MIN, INT64_MAX = -(2**63), 2**63 - 1
 
@@ -22,6 +26,9 @@ times = st.one_of(
         [datetime(1, 1, 1, 0, 0, 0, 1, tzinfo=UTC), datetime(9999, 12, 31, 23, 59, 59, 999_999, tzinfo=UTC)]
     ),
     st.datetimes(timezones=st.just(UTC)),
+)
+lawful_times = st.sampled_from([TIME_MIN, TIME_END - timedelta(microseconds=1)]) | st.datetimes(
+    TIME_MIN.replace(tzinfo=None), (TIME_END - timedelta(microseconds=1)).replace(tzinfo=None), timezones=st.just(UTC)
 )
 json_texts = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text(),
@@ -41,6 +48,12 @@ def batches(event_type: type[EventType], min_size: int = 0) -> st.SearchStrategy
     return st.tuples(rows, st.randoms(use_true_random=False)).map(
         lambda drawn: _with_any_float_bits(batch_of_type(event_type, drawn[0]), drawn[1].randbytes)
     )
+
+
+def lawful_batches(event_type: type[EventType]) -> st.SearchStrategy[EventBatch]:
+    """Any batch of the type that may be appended."""
+    rows = st.lists(_models(event_type, is_lawful=True), min_size=1, max_size=6)
+    return rows.map(lambda said: batch_of_type(event_type, said))
 
 
 def bits(column: pa.Array) -> list[Any]:
@@ -84,35 +97,39 @@ def headers(draw: st.DrawFn) -> Header:
     )
 
 
-def _models(model: type[BaseModel]) -> st.SearchStrategy[Any]:
-    return st.builds(model, **{name: _values(info) for name, info in model.model_fields.items()})
+def _models(model: type[BaseModel], is_lawful: bool = False) -> st.SearchStrategy[Any]:
+    fields = model.model_fields.items()
+    return st.builds(model, **{name: _of(info.annotation, list(info.metadata), is_lawful) for name, info in fields})
 
 
-def _values(info: FieldInfo) -> st.SearchStrategy[Any]:
-    return _of(info.annotation, list(info.metadata))
-
-
-def _of(annotation: Any, metadata: list[Any]) -> st.SearchStrategy[Any]:
+def _of(annotation: Any, metadata: list[Any], is_lawful: bool) -> st.SearchStrategy[Any]:
     if get_origin(annotation) is Annotated:
         inner, *more = get_args(annotation)
-        return _of(inner, metadata + more)
+        more = [each for m in more for each in (m.metadata if isinstance(m, FieldInfo) else [m])]
+        return _of(inner, metadata + more, is_lawful)
     if NoneType in get_args(annotation):
         (inner,) = (a for a in get_args(annotation) if a is not NoneType)
-        return st.none() | _of(inner, metadata)
+        return st.none() | _of(inner, metadata, is_lawful)
     if get_origin(annotation) is Literal:
         return st.sampled_from(get_args(annotation))
     if get_origin(annotation) is tuple:
-        return st.lists(_of(get_args(annotation)[0], []), max_size=3).map(tuple)
+        return st.lists(_of(get_args(annotation)[0], [], is_lawful), max_size=3).map(tuple)
     if isinstance(annotation, type) and issubclass(annotation, Part):
-        return _models(annotation)
+        return _models(annotation, is_lawful)
     marker = stored(metadata)
+    door = next((m for m in metadata if isinstance(m, AtDoor)), None) if is_lawful else None
     if annotation is int:
-        return st.integers(_least(metadata), INT64_MAX) | st.just(INT64_MAX)
+        least = int(door.least) if door and door.least is not None else _least(metadata)
+        return st.integers(least, INT64_MAX) | st.just(INT64_MAX)
     if annotation is float:
-        return st.floats(width=32 if marker and marker.arrow == pa.float32() else 64)
+        width = 32 if marker and marker.arrow == pa.float32() else 64
+        if door:
+            return st.floats(door.least, door.most, width=width, allow_nan=False, allow_infinity=False)
+        return st.floats(width=width)
     if annotation is str:
         return json_texts if marker and marker.is_json else st.text()
-    plain = {bool: st.booleans(), bytes: st.binary(), datetime: times, AwareDatetime: times}
+    moments = lawful_times if is_lawful else times
+    plain = {bool: st.booleans(), bytes: st.binary(), datetime: moments, AwareDatetime: moments}
     return plain[annotation]
 
 

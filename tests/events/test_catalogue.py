@@ -1,9 +1,21 @@
 from collections.abc import Callable
 from pathlib import Path
 
+import pyarrow as pa
 import pytest
 
-from events import SHIPPED, Catalogue, EventType, InvalidEvent, TrackPoint, UnknownType, load_catalogue
+from events import (
+    SHIPPED,
+    Catalogue,
+    EventType,
+    InvalidEvent,
+    TrackPoint,
+    UnknownType,
+    UpcastFailed,
+    batch_of,
+    load_catalogue,
+)
+from tests.events.examples import NOON
 
 Install = Callable[..., None]
 
@@ -28,8 +40,12 @@ def _defining(name: str, body: str = "    pass", version: int = 1) -> str:
     return f"from events import EventType\nclass T(EventType, type='{name}', version={version}):\n{body}\n"
 
 
-class TrackPoint2(EventType, type="track_point", version=2):
+class TrackPoint2(EventType, type="track_point", version=2, older=TrackPoint):
     """A later version."""
+
+    @classmethod
+    def upcast(cls, older: pa.RecordBatch) -> pa.RecordBatch:
+        return older.select(["time"])
 
 
 def test_the_shipped_catalogue_holds_every_shipped_type_once() -> None:
@@ -87,7 +103,14 @@ def test_a_plugged_type_joins_the_shipped_ones(installed: Install) -> None:
 
 
 def test_a_plugged_newer_version_of_a_shipped_type_stands_beside_it(installed: Install) -> None:
-    installed("plug_newer", _defining("track_point", version=2), newer="T")
+    module = """
+from events import EventType, TrackPoint
+class T(EventType, type='track_point', version=2, older=TrackPoint):
+    @classmethod
+    def upcast(cls, older):
+        return older.select(['time'])
+"""
+    installed("plug_newer", module, newer="T")
     catalogue = load_catalogue()
     assert catalogue.newest("track_point").version == 2
     assert catalogue.find("track_point", 1) is TrackPoint
@@ -131,3 +154,93 @@ def test_a_plug_in_that_is_no_event_type_is_refused(installed: Install, name: st
     installed(name, f"from events import EventType\nT = {thing}", other="T")
     with pytest.raises(UnknownType, match=r"entry point other of vian\.events must be an EventType, got"):
         load_catalogue()
+
+
+# Versions: what is newest brings the older ones, and says how they become its own.
+
+
+def _version(version: int, older: type[EventType] | None, upcast: Callable[..., object] | None) -> type[EventType]:
+    made = {"__module__": "acme.doors", "__annotations__": {"width": float}}
+    made |= {} if upcast is None else {"upcast": classmethod(upcast)}
+    return type(f"Door{version}", (EventType,), made, type="door", version=version, older=older)
+
+
+def _kept(cls: type[EventType], older: pa.RecordBatch) -> pa.RecordBatch:
+    return older
+
+
+DOOR = _version(1, None, None)
+DOOR_2 = _version(2, DOOR, _kept)
+
+
+def test_the_newest_version_brings_those_before_it() -> None:
+    catalogue = Catalogue([_version(3, DOOR_2, _kept)])
+    assert [each.version for each in catalogue.versions("door")] == [1, 2, 3]
+    assert catalogue.find("door", 1) is DOOR
+    assert [each.version for each in catalogue] == [3]
+
+
+@pytest.mark.parametrize(
+    "event_type, message",
+    [
+        (_version(2, None, _kept), r"door version 2 \(acme\.doors\) must name version 1 .* as `older`, got none"),
+        (_version(3, DOOR, _kept), r"door version 3 .* must name version 2 .* as `older`, got door version 1"),
+        (_version(2, TrackPoint, _kept), r"door version 2 .* must name version 1 .*, got track_point version 1"),
+        (_version(3, _version(2, None, _kept), _kept), r"door version 2 .* must name version 1 .*, got none"),
+        (_version(2, DOOR, None), r"door version 2 .* must define `upcast`, which makes events of version 1 its own"),
+    ],
+)
+def test_a_version_that_leaves_an_older_one_unreadable_is_refused_by_name(
+    event_type: type[EventType], message: str
+) -> None:
+    with pytest.raises(UnknownType, match=message):
+        Catalogue([event_type])
+
+
+def test_an_inherited_upcast_is_none_of_its_own() -> None:
+    third = type("Door3", (DOOR_2,), {"__module__": "acme.doors"}, type="door", version=3, older=DOOR_2)
+    with pytest.raises(UnknownType, match=r"door version 3 .* must define `upcast`"):
+        Catalogue([third])
+
+
+def test_a_plugged_version_without_its_older_one_is_refused(installed: Install) -> None:
+    installed("plug_late", _defining("door_opened", version=2), late="T")
+    with pytest.raises(UnknownType, match=r"door_opened version 2 \(plug_late\) must name version 1"):
+        load_catalogue()
+
+
+def _times_moved(cls: type[EventType], older: pa.RecordBatch) -> pa.RecordBatch:
+    later = pa.compute.add(older.column("time"), pa.scalar(1, pa.duration("us")))
+    return older.set_column(0, older.schema.field("time"), later)
+
+
+@pytest.mark.parametrize(
+    "upcast, message",
+    [
+        (lambda cls, older: older.select(["time"]), "fails: door: columns missing: width"),
+        (lambda cls, older: older.column("height"), "fails: .*height"),
+        (lambda cls, older: None, "fails: .*RecordBatch, got NoneType"),
+        (lambda cls, older: 1 / 0, "fails: division by zero"),
+        (lambda cls, older: older.slice(1), "must keep every event with its time"),
+        (_times_moved, "must keep every event with its time"),
+    ],
+)
+def test_an_upcaster_that_breaks_its_contract_is_told_with_its_steps(
+    upcast: Callable[..., object], message: str
+) -> None:
+    broken = _version(2, DOOR, upcast)
+    said = [DOOR(time=NOON, width=width) for width in (1.0, 2.0)]  # type: ignore[call-arg]
+    with pytest.raises(UpcastFailed, match=rf"door: the upcast from version 1 to 2 of acme\.doors {message}"):
+        Catalogue([broken]).upcast(batch_of(said))
+
+
+def test_the_newest_version_is_not_touched() -> None:
+    batch = batch_of([DOOR_2(time=NOON, width=1)])  # type: ignore[call-arg]
+    assert Catalogue([DOOR_2]).upcast(batch) is batch
+
+
+def test_only_a_type_that_the_catalogue_holds_is_registered() -> None:
+    Catalogue([DOOR_2]).check_registered(DOOR)
+    for stranger in (TrackPoint, _version(1, None, None), _version(3, DOOR_2, _kept)):
+        with pytest.raises(UnknownType, match=f"'{stranger.type_name}' version {stranger.version} .* not registered"):
+            Catalogue([DOOR_2]).check_registered(stranger)

@@ -13,6 +13,7 @@ from events import (
     InvalidEvent,
     StreamName,
     TrackEnded,
+    TrackEndedV1,
     TrackPoint,
     batch_of,
     batch_of_type,
@@ -25,8 +26,8 @@ from tests.events.examples import NOON, rule_deployed, situation, sync_planned, 
 from tests.events.plugged import VehicleWeighed
 from tests.events.strategies import INT64_MAX, batches, bits, events
 
-TYPES = (*SHIPPED, VehicleWeighed)
-each_type = pytest.mark.parametrize("event_type", TYPES, ids=lambda t: t.type_name)
+TYPES = (*SHIPPED, TrackEndedV1, VehicleWeighed)
+each_type = pytest.mark.parametrize("event_type", TYPES, ids=lambda t: f"{t.type_name}.v{t.version}")
 
 
 @each_type
@@ -83,7 +84,7 @@ def test_a_field_without_a_column_type_is_refused_by_name(kind: object) -> None:
         schema_of(odd)
 
 
-@pytest.mark.parametrize("event_type", TYPES, ids=lambda t: t.type_name)
+@pytest.mark.parametrize("event_type", TYPES, ids=lambda t: f"{t.type_name}.v{t.version}")
 def test_a_batch_may_be_empty(event_type: type[EventType]) -> None:
     batch = batch_of_type(event_type, [])
     assert len(batch) == 0
@@ -242,5 +243,12 @@ def test_enveloped_columns_keep_their_bits() -> None:
 
 def test_an_optional_field_of_a_shipped_type_is_a_column_that_may_be_null() -> None:
     optional = {f"{t.type_name}.{f.name}" for t in SHIPPED for f in schema_of(t) if f.nullable}
-    assert optional == {"video_added.fps", "video_added.frames_expected", "process_progressed.note"}
+    lost = ("count", "first_sequence", "last_sequence", "lost_from_at", "lost_until_at", "policy")
+    assert optional == {
+        "video_added.fps",
+        "video_added.frames_expected",
+        "process_progressed.note",
+        *(f"loss_recorded.{name}" for name in lost),
+        *(f"plate_read.{name}" for name in ("country", "region", "candidates")),
+    }
     assert TrackEnded.subject_field == "track_id"

@@ -6,7 +6,17 @@ from typing import Any
 import pytest
 import zstandard
 
-from events import SHIPPED, Catalogue, EventBatch, EventType, batch_of_type, events_of, schema_of
+from events import (
+    SHIPPED,
+    Catalogue,
+    EventBatch,
+    EventType,
+    TrackEnded,
+    TrackEndedV1,
+    batch_of_type,
+    events_of,
+    schema_of,
+)
 from events.segment import decode_payload, encode_payload
 
 GOLDEN = Path(__file__).parent / "golden"
@@ -14,7 +24,9 @@ FROZEN = sorted(path.stem for path in GOLDEN.glob("*.bin"))
 
 
 def test_every_shipped_type_and_version_is_frozen() -> None:
-    shipped = {f"{event_type.type_name}.v{event_type.version}" for event_type in SHIPPED}
+    catalogue = Catalogue.shipped()
+    versions = [version for event_type in SHIPPED for version in catalogue.versions(event_type.type_name)]
+    shipped = {f"{event_type.type_name}.v{event_type.version}" for event_type in versions}
     assert shipped == set(FROZEN), (
         "Next: write tests/events/golden/TYPE.vN.json by hand, then python -m tests.events.golden"
     )
@@ -59,8 +71,24 @@ def _plain(row: dict[str, Any]) -> str:
 
 
 def _value(value: Any) -> Any:
+    if isinstance(value, bytes):
+        return value.hex()
     if isinstance(value, datetime):
         return value.isoformat(timespec="microseconds")
     if isinstance(value, float) and value - value != 0:
         return {"nan": "NaN", "inf": "Infinity", "-inf": "-Infinity"}[str(value)]
     return value
+
+
+_ROOT = 1.4142135381698608
+"""Of 2, in 32 bits."""
+
+
+def test_frozen_tracks_of_version_1_are_read_as_version_2() -> None:
+    frozen = decode_payload((GOLDEN / "track_ended.v1.bin").read_bytes(), schema_of(TrackEndedV1))
+    new = Catalogue.shipped().upcast(EventBatch(TrackEndedV1, frozen))
+    assert new.type is TrackEnded
+    assert [_plain(row) for row in new.data.to_pylist()] == [
+        json.dumps(row | {"displacement_px": distance})
+        for row, distance in zip(_rows("track_ended.v1"), (767.058837890625, "NaN", _ROOT, _ROOT), strict=True)
+    ]

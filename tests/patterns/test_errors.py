@@ -95,3 +95,21 @@ def test_an_error_in_a_long_line_shows_the_part_around_it() -> None:
     shown, caret = caught.value.excerpt.splitlines()
     assert len(shown) < 180
     assert shown[len(caret) - 1 :].startswith("nn > 1")
+
+
+def test_check_warns_of_a_variable_without_define_that_looks_like_one_with_it() -> None:
+    rule = parse_rule(HEAD + f"  {BEGINNING}  PATTERN (B BB BB) WITHIN :dwell DEFINE B AS n > 1)\n")
+    (finding,) = [each for each in check(rule, SCHEMAS) if "DEFINE" in each.message]
+    assert (finding.severity, finding.place.line, finding.place.column) == ("warning", 11, 14)
+    assert finding.message.startswith("BB has no DEFINE: it is true for every row. Next: define it, or write B if")
+
+
+@pytest.mark.parametrize("pattern", ["X B", "before B", "X* B+"])
+def test_check_does_not_warn_of_a_variable_that_any_row_fits_by_intent(pattern: str) -> None:
+    rule = parse_rule(HEAD + f"  {BEGINNING}  PATTERN ({pattern}) WITHIN :dwell DEFINE B AS n > 1)\n")
+    assert not any("DEFINE" in each.message for each in check(rule, SCHEMAS))
+
+
+def test_a_value_of_the_wrong_kind_is_shown() -> None:
+    with pytest.raises(RuleError, match="version: Input should be a valid integer, got 'three'"):
+        parse_rule(HEAD.replace("version: 1", "version: three"))

@@ -88,7 +88,7 @@ def test_a_normalised_zone_needs_its_sources_frame_size_once_a_row_of_it_comes()
     run.push(_at((30, 30), (30, 30), source="cam-02"))
     run.source_ended("cam-02")
     run.push(_at((30, 30)))
-    with pytest.raises(FrameSizeUnknown, match="frame size is not known; give it with set_frame_size"):
+    with pytest.raises(FrameSizeUnknown, match="frame size is not known: no video_added of it came"):
         run.finish()
     run = RuleRun(bind(letter_rule("A", "A AS in_zone(v, n, 'square')", more=SQUARE), SCHEMAS))
     run.push(_at((30, 30)))
@@ -102,7 +102,7 @@ def test_a_normalised_zone_needs_its_sources_frame_size_once_a_row_of_it_comes()
 @pytest.mark.parametrize(
     "polygon,message",
     [
-        ([[0, 0], [1, 1]], "at least 3"),
+        ([[0, 0], [1, 1]], "a polygon needs 3 points or more, got 2"),
         ([[0, 0], [1, 1], [1, 0], [0, 1]], "not cross itself"),
         ([[0, 0], [1, 1], [0.5, 0.5]], "must have an area"),
         ([[0, 0], [2, 0], [1, 1]], "lie in 0 to 1"),

@@ -50,7 +50,7 @@ def test_a_rule_file_says_all_of_it() -> None:
 @pytest.mark.parametrize(
     "old,new,place,message",
     [
-        ("severity: warning", "severity: severe", "4:11", "severity: Input should be 'info', 'warning' or 'alarm'"),
+        ("severity: warning", "severity: severe", "4:11", "should be 'info', 'warning' or 'alarm', got 'severe'"),
         ("severity: warning", "severitty: warning", "4:1", "severitty: unknown key; there are: emit, lines, match"),
         ("severity: warning\n", "", "1:1", "severity: this key is missing"),
         ("version: 3", "version: three", "2:10", "version: Input should be a valid integer"),

@@ -61,11 +61,14 @@ def test_a_difference_shows_wanted_and_found_side_by_side() -> None:
     expect: [{n: 1, at: 2026-01-01T10:00:00Z, gap: 10 s}, {}]
   - given: [{time: 2026-01-01T10:00:00Z, letter: a, n: 1}]
     expect: [{m: 1}]
+  - given: [{time: 2026-01-01T10:00:00Z, letter: a, n: 7}]
+    expect: []
 """
     assert _results(tests) == [
         (False, DIFFERENCE),
-        (False, "- n: 1, at: 2026-01-01T10:00:00Z, gap: 10 s\n- (a situation)"),
+        (False, "- n: 1, at: 2026-01-01T10:00:00Z, gap: 10 s\n- (a situation)\n+ (no situation)"),
         (False, "- m: 1\n+ m: (no such value)"),
+        (False, "- (no situation)\n+ n: 7, v: None, at: 2026-01-01T10:00:00Z, gap: None, flag: None"),
     ]  # fmt: skip
 
 
@@ -110,6 +113,9 @@ def test_a_test_whose_rows_the_rule_cannot_take_fails_with_the_reason() -> None:
     rule = parse_rule(text, path=FOLDER / "loitering.yaml")
     (result,) = run_tests(rule, SCHEMAS)
     assert not result.passed
-    assert "frame size is not known" in result.difference
+    said = "'watched' is in normalised coordinates of source 'cam-01', whose frame size the test does not give. "
+    assert said + "Next: add it to the test's `frames:`, as in `frames: {cam-01: [1920, 1080]}`" in result.difference
+    line = text.splitlines()[result.place.line - 1]
+    assert line[result.place.column - 1 :].startswith("name: ")
     (unplaced,) = run_tests(parse_rule(RULE + "  - {given: [{letter: a}], expect: []}\n"), SCHEMAS)
     assert unplaced.difference == "! the column time of a row must not be NULL"

@@ -110,8 +110,9 @@ def test_a_batch_that_cannot_be_encoded_leaves_everything_as_it_was(log: Log) ->
     assert frames(log, GATE) == [1, 2]
 
 
-def test_a_batch_without_events_is_no_segment(log: Log) -> None:
-    assert Appender(log, PRODUCER).append([(GATE, batch_of_type(TrackPoint, []))]) == []
+def test_a_batch_without_events_is_refused_with_all_of_its_call(log: Log) -> None:
+    with pytest.raises(InvalidEvent, match=f"{GATE}: an append holds one event or more, got an empty batch"):
+        Appender(log, PRODUCER).append([(YARD, points(1, 2)), (GATE, batch_of_type(TrackPoint, []))])
     assert log.head() == 0
 
 

@@ -26,6 +26,22 @@ def test_health_says_where_the_log_stands(log: Log) -> None:
     assert answer.json() == {"status": "ok", "version": VERSION, "position": 1}
 
 
+@pytest.mark.parametrize("grants", [None, Grants({"brno": token_hash(TOKEN)})])
+def test_the_root_lists_what_is_served(log: Log, grants: Grants | None) -> None:
+    with served(log, grants) as address:
+        answer = httpx.get(address).json()
+        served_paths = {path for path in answer["paths"] if httpx.options(f"{address}{path}").status_code == 405}
+    assert answer["program"] == "vian"
+    assert served_paths == answer["paths"].keys()
+    assert {"/health", "/openapi.json"} <= served_paths
+    assert ("/sync/v1/hello" in served_paths) == (grants is not None)
+
+
+def test_no_page_is_served_that_needs_the_internet(log: Log) -> None:
+    with served(log) as address:
+        assert [httpx.get(f"{address}/{page}").status_code for page in ("docs", "redoc")] == [404, 404]
+
+
 def test_health_is_503_while_the_database_is_away(log: Log, monkeypatch: pytest.MonkeyPatch) -> None:
     def away() -> int:
         raise LogUnavailable("the password is hunter2")

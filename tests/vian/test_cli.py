@@ -43,8 +43,8 @@ READERS = [
 
 def test_the_commands_are_those_that_there_should_be() -> None:
     assert {" ".join(path) for path in ALL} == {
-        "backup", "demo", "doctor", "extract motion", "project", "psql", "query", "restore", "rules check", "rules run",
-        "serve", "station add", "streams", "sync", "tail", "upgrade", "verify",
+        "backup", "demo", "doctor", "events", "extract motion", "project", "psql", "query", "restore", "rules check",
+        "rules run", "serve", "station add", "streams", "sync", "tail", "upgrade", "verify",
     }  # fmt: skip
 
 
@@ -63,7 +63,9 @@ def test_every_option_is_explained(path: tuple[str, ...]) -> None:
 
 
 @pytest.mark.parametrize(
-    "path", [path for path in ALL if path[0] not in ("rules", "station") or path[1] == "run"], ids=" ".join
+    "path",
+    [path for path in ALL if path[0] not in ("rules", "station", "events") or path[1:] == ("run",)],
+    ids=" ".join,
 )
 def test_every_command_takes_an_embedded_or_an_external_log(path: tuple[str, ...]) -> None:
     options = {option for parameter in ALL[path].params for option in parameter.opts}
@@ -86,7 +88,10 @@ def test_a_folder_without_a_log_is_told_and_left_as_it_is(run: Run, arguments: l
     Path("token").write_text("a-token-that-nobody-guesses")
     ran = run(*arguments, "--data-dir", tmp_path / "typo")
     assert (ran.code, ran.out) == (1, "")
-    assert f"there is no log in {tmp_path}/typo. Next: vian demo or vian extract makes one" in ran.words
+    assert (
+        f"there is no log in {tmp_path}/typo (there is no such folder). Next: vian demo or vian extract makes one"
+        in ran.words
+    )
     assert not (tmp_path / "typo").exists()
 
 
@@ -165,6 +170,48 @@ def test_a_defect_shows_its_traceback(run: Run, monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(log_commands, "opened", fail)
     with pytest.raises(ZeroDivisionError):
         run("streams")
+
+
+@pytest.mark.parametrize(
+    "arguments, spared",
+    [
+        (["--version"], {"pyarrow", "sqlalchemy", "store", "vian.commands.log"}),
+        (
+            ["streams", "--data-dir", "typo"],
+            {"cv2", "scipy", "av", "duckdb", "shapely", "patterns", "sync", "vian.demo"},
+        ),
+        (
+            ["verify", "--data-dir", "typo"],
+            {"cv2", "scipy", "av", "duckdb", "shapely", "patterns", "sync", "vian.demo"},
+        ),
+        (["query", "select 1", "--data-dir", "typo"], {"cv2", "scipy", "av", "patterns", "sync", "vian.demo"}),
+        (["station", "add", "a/b", "--stations-file", "x"], {"cv2", "scipy", "av", "duckdb", "patterns", "vian.demo"}),
+    ],
+    ids=lambda arguments: arguments[0] if isinstance(arguments, list) else "",
+)
+def test_a_command_imports_what_it_needs_and_no_more(arguments: list[str], spared: set[str]) -> None:
+    script = f"import sys\nfrom vian.cli import app\ntry:\n    app({arguments})\nfinally:\n    print(*sys.modules)"
+    ran = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    assert "vian.commands.demo" not in ran.stdout.split()
+    assert spared & set(ran.stdout.split()) == set()
+    assert "Traceback" not in ran.stderr
+
+
+@pytest.mark.parametrize("name", cli.MODULES)
+def test_each_command_of_the_table_is_the_one_of_that_name(name: str) -> None:
+    command: Any = typer.main.get_command(cli.app)
+    assert command.commands[name].name == name
+
+
+def test_every_module_of_commands_is_in_the_table() -> None:
+    there = {path.stem for path in Path(log_commands.__file__).parent.glob("*.py")} - {"__init__"}
+    assert there == set(cli.MODULES.values())
+
+
+def test_a_mistyped_command_is_told_with_the_nearest(run: Run) -> None:
+    ran = run("streems")
+    assert ran.code == 2
+    assert "Did you mean 'streams'?" in ran.words
 
 
 def test_more_is_told_when_asked(run: Run, tmp_path: Path) -> None:

@@ -58,3 +58,31 @@ def test_a_folder_that_cannot_be_looked_into_may_hold_a_log(tmp_path: Path, monk
 
     monkeypatch.setattr(Path, "exists", refuse)
     assert has_log(tmp_path)
+
+
+@pytest.mark.parametrize(
+    "names, said",
+    [
+        (None, "there is no such folder"),
+        ([], "it is empty"),
+        (["a", "b", "pg/x", "z"], "it holds a, b, pg, ..."),
+        (["PG_VERSION"], "it is the inside of one; give "),
+    ],
+)
+def test_what_stands_where_a_log_was_wanted_is_said(tmp_path: Path, names: list[str] | None, said: str) -> None:
+    folder = tmp_path / "folder"
+    for name in names or []:
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).touch()
+    if names == []:
+        folder.mkdir()
+    with pytest.raises(WorldFailed) as told, opened(settings_for(folder)):
+        pass
+    assert f"there is no log in {folder} ({said}" in str(told.value)
+    assert not (folder / "pg.lock").exists()
+
+
+def test_a_file_where_a_log_was_wanted_is_told(tmp_path: Path) -> None:
+    (tmp_path / "clip.mp4").touch()
+    with pytest.raises(WorldFailed, match=r"it is a file"), opened(settings_for(tmp_path / "clip.mp4")):
+        pass

@@ -95,3 +95,21 @@ def test_progress_is_shown_on_a_terminal_only() -> None:
             bar.at(10, 10)
         assert ("10/10" in printed(bars.err)) is is_terminal
         assert printed(bars.out) == ""
+
+
+WIDE = [f"column_{number}" for number in range(40)]
+
+
+def test_a_single_row_that_is_too_wide_is_turned_on_its_side() -> None:
+    wide = output()
+    wide.table("", WIDE, [[*range(39), HOSTILE]])
+    lines = printed(wide.out).splitlines()
+    assert lines[:2] == ["column_0:  0", "column_1:  1"]
+    assert lines[-1] == f"column_39: {printable(HOSTILE)}"
+
+
+@pytest.mark.parametrize("columns, rows", [(WIDE, [range(40), range(40)]), (["a", "b"], [(1, 2)]), (WIDE, [])])
+def test_other_tables_stand_upright(columns: list[str], rows: list[Sequence[Any]]) -> None:
+    table = output()
+    table.table("", columns, rows)
+    assert "┃" in printed(table.out)

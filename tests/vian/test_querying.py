@@ -7,10 +7,9 @@ import psycopg
 import pytest
 
 from events import SHIPPED, Catalogue, StreamName, batch_of
-from store import Log, Projector
+from store import Log, Projector, decoding
 from tests.events.plugged import VehicleWeighed
 from tests.vian.samples import START, YARD, append, points, reopened
-from vian import querying
 from vian.errors import WrongUsage
 from vian.querying import Scope, query
 
@@ -101,13 +100,13 @@ def test_a_scope_prunes_by_time_and_source(filled: Log) -> None:
 
 def test_only_the_types_that_a_query_names_are_decoded(filled: Log, monkeypatch: pytest.MonkeyPatch) -> None:
     seen: list[str] = []
-    decode: Callable[..., Any] = querying.decode
+    decode: Callable[..., Any] = decoding.decode
 
     def counted(segment: Any, catalogue: Catalogue) -> Any:
         seen.append(str(segment.stream))
         return decode(segment, catalogue)
 
-    monkeypatch.setattr(querying, "decode", counted)
+    monkeypatch.setattr(decoding, "decode", counted)
     assert rows(filled, "select count(*) as n from track_ended") == [{"n": 0}]
     assert seen == []
     rows(filled, "select count(*) from track_point")
@@ -143,9 +142,7 @@ def test_an_unknown_table_is_told_with_those_that_there_are(log: Log) -> None:
         query(log, "select * from nowhere")
 
 
-@pytest.mark.parametrize(
-    "sql", ["selct 1", "select frame from", "select nothing from track_point", "", "select 1; select 2"]
-)
+@pytest.mark.parametrize("sql", ["selct 1", "select frame from", "select nothing from track_point"])
 def test_what_duckdb_says_of_a_mistake_is_passed_on(log: Log, sql: str) -> None:
     with pytest.raises(WrongUsage, match=r"the query is not right: \w+ .*Error: "):
         query(log, sql)

@@ -42,7 +42,8 @@ def test_an_address_that_is_none_is_told_with_an_example(log: Log, central: str)
 
 def test_a_log_of_another_station_is_not_sent_under_this_name(log: Log) -> None:
     append(log, points(1))
-    said = "this log has no streams of station typo, but of brno. Next: give --station brno"
+    said = "this log has no streams of station typo, but of brno. Next: give --station brno "
+    said += "if central knows that name, else vian station add brno there; or extract with --station typo"
     with pytest.raises(WrongUsage, match=said), station_daemon(log, "typo", "http://x", TOKEN, load_plan(None)):
         pass
     assert len(log.streams()) == 1

@@ -3,11 +3,12 @@ import tomllib
 from pathlib import Path
 
 import pytest
+from structlog.testing import capture_logs
 
 from events import InvalidName
 from sync.grants import token_hash
 from vian.errors import WorldFailed, WrongUsage
-from vian.stations import add_station, read_grants, read_token, write_private
+from vian.stations import StationsFile, add_station, read_grants, read_token, write_private
 
 LIST = Path("stations.toml")
 TOKEN = Path("brno.token")
@@ -72,16 +73,20 @@ def test_a_private_file_is_private_even_where_an_open_one_was() -> None:
 
 
 def test_a_token_is_read_without_the_end_of_its_line() -> None:
-    TOKEN.write_text("  abc\n")
-    assert read_token(TOKEN) == "abc"
+    TOKEN.write_text("  a-token-of-brno-2\n")
+    assert read_token(TOKEN) == "a-token-of-brno-2"
 
 
-@pytest.mark.parametrize("content", [None, b"", b" \n", b"\xff\xfe"])
+@pytest.mark.parametrize(
+    "content",
+    [None, b"", b" \n", b"\xff\xfe", b"short", b"two words, and long enough", b"<html>\n<body>not here</body>"],
+)
 def test_a_token_file_without_a_token_is_told(content: bytes | None) -> None:
     if content is not None:
         TOKEN.write_bytes(content)
     with pytest.raises(
-        WrongUsage, match=r"the token file brno.token (cannot be read|is empty).*Next: vian station add"
+        WrongUsage,
+        match=r"the token file brno.token (cannot be read|is empty|does not hold).*Next: carry over the file",
     ):
         read_token(TOKEN)
 
@@ -103,3 +108,35 @@ def test_a_list_of_stations_that_is_none_is_told(text: str | None, said: str) ->
         LIST.write_text(text)
     with pytest.raises(WrongUsage, match=said):
         read_grants(LIST)
+
+
+def test_a_station_that_is_added_while_central_runs_may_replicate() -> None:
+    first = add_station(LIST, "brno-2")
+    stations = StationsFile(LIST)
+    second = add_station(LIST, "zlin")
+    assert (stations.station_of(first), stations.station_of(second)) == ("brno-2", "zlin")
+
+
+def test_a_station_whose_line_goes_may_not_replicate_any_more() -> None:
+    token = add_station(LIST, "brno-2")
+    stations = StationsFile(LIST)
+    LIST.write_text("[stations]\n")
+    assert stations.station_of(token) is None
+
+
+@pytest.mark.parametrize("text", [None, "[stations"])
+def test_a_list_that_became_unreadable_keeps_the_stations_and_is_logged_once(text: str | None) -> None:
+    token = add_station(LIST, "brno-2")
+    stations = StationsFile(LIST)
+    LIST.unlink() if text is None else LIST.write_text(text)
+    with capture_logs() as logged:
+        assert [stations.station_of(token) for _ in range(3)] == ["brno-2"] * 3
+    assert [(each["event"], each["log_level"]) for each in logged] == [("the stations stay as they were", "error")]
+    LIST.unlink(missing_ok=True)
+    later = add_station(LIST, "brno-2")
+    assert (stations.station_of(token), stations.station_of(later)) == (None, "brno-2")
+
+
+def test_a_list_that_cannot_be_read_at_the_start_is_told() -> None:
+    with pytest.raises(WrongUsage, match="cannot be read"):
+        StationsFile(LIST)

@@ -8,10 +8,11 @@ from typing import Annotated
 
 import typer
 
+from extractors import video as video_files
 from store import open_log
 from store.schema import safe_dsn
 from vian import options
-from vian.demo.clip import choose
+from vian.demo.clip import Origin, choose
 from vian.demo.run import ANSWER_SQL, CENTRAL_DIR, Summary, run_demo, summary_rows
 from vian.errors import WorldFailed
 from vian.options import open_from, settings_for
@@ -41,6 +42,8 @@ def demo(
     _check_writable(report)
     clip = choose(video, settings.data, output.note)
     output.note(f"clip: {clip.path}" + (f"\n{clip.attribution}" if clip.attribution else ""))
+    if clip.origin is Origin.GIVEN:
+        video_files.probe(clip.path)  # what is no video is told before two servers are started
     summary = run_demo(
         lambda: open_from(settings, data_dir=data_dir),
         lambda: open_log(data_dir=settings.data_dir / CENTRAL_DIR),

@@ -9,7 +9,7 @@ from extractors.motion import MotionConfig
 from store import Projector
 from vian import options
 from vian.extraction import Extraction, Job, extract_motion
-from vian.options import opened, settings_for, time_of
+from vian.options import has_zone, opened, settings_for, time_of
 from vian.output import Output
 
 app = typer.Typer(help="Run an extractor on a video; its events go into the log.", no_args_is_help=True)
@@ -38,6 +38,9 @@ def motion(
     """Detect and track what moves in a video: track points, ended tracks, activity intervals."""
     settings = settings_for(data_dir, dsn, station=station)
     output = Output(is_json=as_json)
+    started_at = time_of("--start", start)
+    if start is not None and started_at is not None and not has_zone(start):
+        output.note(f"--start names no time zone: taken as UTC, {started_at.isoformat()}")
     with opened(settings, data_dir=data_dir, is_made=True) as log, output.progress("frames", None) as bar:
 
         def show(done: int, expected: int | None) -> None:
@@ -49,7 +52,7 @@ def motion(
                 station=settings.station,
                 source=source,
                 path=video,
-                started_at=time_of("--start", start),
+                started_at=started_at,
                 config=MotionConfig(),
                 run=again,
                 database_wait_s=settings.database_wait_s,
@@ -72,7 +75,8 @@ def report(output: Output, extraction: Extraction) -> None:
         "was_done": extraction.was_done,
     }
     text = (
-        f"process {extraction.process}: {extraction.frames} frames, {extraction.events} events, {extraction.gaps} gaps"
+        f"process {extraction.process}: {extraction.frames} frames, {extraction.events} events found besides the "
+        f"process's own, {extraction.gaps} gaps"
     )
     if extraction.was_done:
         text += " (done in an earlier run; --again 2 repeats it as a new process)"

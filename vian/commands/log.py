@@ -4,13 +4,21 @@ import subprocess
 from typing import Annotated
 
 import typer
+from psycopg.conninfo import conninfo_to_dict, make_conninfo
 
 from events import Segment, UnknownType, decode, events_of
 from store import Log, Projector, Subscription, verify
 from vian import options
-from vian.errors import WorldFailed, WrongUsage
-from vian.options import opened, settings_for
+from vian.errors import WorldFailed
+from vian.options import check_known, opened, settings_for
 from vian.output import Output, to_json
+
+_MAY_READ = """
+select coalesce(bool_or(pg_has_role(session_user, oid,
+  case when current_setting('server_version_num')::integer >= 160000 then 'set' else 'member' end)), false)
+from pg_roles where rolname = 'vian_reader'
+"""
+"""Whether who connects may act as `vian_reader`; from PostgreSQL 16 on, a member may lack that right."""
 
 
 def register(app: typer.Typer) -> None:
@@ -20,6 +28,8 @@ def register(app: typer.Typer) -> None:
     app.command(epilog="Example: vian project")(project)
     app.command(
         epilog='Example: vian psql -- -c "select type, count(*) from events group by type"',
+        # `vian psql -c ...` is what people type: what is no option of ours is psql's.
+        context_settings={"ignore_unknown_options": True},
     )(psql)
     app.command(name="verify", epilog="Example: vian verify --data-dir /var/lib/vian")(verify_log)
 
@@ -44,20 +54,13 @@ def tail(
     output = Output(is_json=as_json)
     with opened(settings_for(data_dir, dsn), data_dir=data_dir) as log:
         head, heads = log.heads()
-        _check_known("type", types, {*(str(each.type_name) for each in log.catalogue), *(h.stream.type for h in heads)})
+        check_known("type", types, {*(str(each.type_name) for each in log.catalogue), *(h.stream.type for h in heads)})
         if not follow:
-            _check_known("source", source, {head.stream.source for head in heads})
+            check_known("source", source, {head.stream.source for head in heads})
         for line in _newest(log, head, count, types, source, as_json):
             output.line(line)
         if follow:
             _follow(log, head, types, source, output)
-
-
-def _check_known(what: str, wanted: list[str] | None, known: set[str]) -> None:
-    """Refuse a name that nothing in the log bears: an empty answer would hide the slip."""
-    unknown = sorted(set(wanted or []) - known)
-    if unknown:
-        raise WrongUsage(f"no {what} {unknown[0]!r} in this log; known: {', '.join(sorted(known)) or 'none yet'}")
 
 
 def _newest(
@@ -118,19 +121,32 @@ def project(data_dir: options.DataDir = None, dsn: options.Dsn = None, as_json: 
 
 
 def psql(
-    arguments: Annotated[list[str] | None, typer.Argument(help="What psql is given, after --.")] = None,
+    arguments: Annotated[list[str] | None, typer.Argument(help="What psql is given, best after --.")] = None,
+    owner: Annotated[
+        bool, typer.Option("--owner", help="As the log's owner, who can change the row tables, not as a reader.")
+    ] = False,
     data_dir: options.DataDir = None,
     dsn: options.Dsn = None,
 ) -> None:
-    """Run psql on the row tables; an embedded PostgreSQL runs as long as psql does."""
+    """Run psql on the row tables, to read them; an embedded PostgreSQL runs as long as psql does."""
     with opened(settings_for(data_dir, dsn), data_dir=data_dir) as log:
         program = str(log.server.bin_path / "psql") if log.server is not None else "psql"
         try:
-            code = subprocess.call([program, log.dsn, *(arguments or [])])
+            code = subprocess.call([program, log.dsn if owner else _as_reader(log), *(arguments or [])])
         except FileNotFoundError as error:
             raise WorldFailed("psql is not installed here. Next: install PostgreSQL's client programs") from error
     if code:
         raise WorldFailed(f"psql ended with exit code {code}")
+
+
+def _as_reader(log: Log) -> str:
+    """The log's address, to be used with the rights of `vian_reader`; a user who may not take them has fewer anyway."""
+    with log.connection() as connection:
+        may = connection.execute(_MAY_READ).fetchone()
+    if may != (True,):
+        return log.dsn
+    given = conninfo_to_dict(log.dsn).get("options") or ""
+    return make_conninfo(log.dsn, options=f"{given} -c role=vian_reader".strip())
 
 
 def verify_log(data_dir: options.DataDir = None, dsn: options.Dsn = None, as_json: options.Json = False) -> None:

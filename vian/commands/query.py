@@ -15,7 +15,7 @@ import typer
 
 from vian import options
 from vian.errors import WorldFailed, WrongUsage
-from vian.options import opened, settings_for, time_of
+from vian.options import check_known, opened, settings_for, time_of
 from vian.output import Output, to_json
 from vian.querying import Scope
 from vian.querying import query as answer
@@ -58,6 +58,7 @@ def query(
     if chosen in (Format.PARQUET, Format.ARROW) and output_file is None:
         raise WrongUsage(f"--format {chosen} is binary and needs a file. Next: add --output FILE")
     with opened(settings_for(data_dir, dsn), data_dir=data_dir) as log:
+        check_known("source", source, {head.stream.source for head in log.streams()})
         scope = Scope(time_of("--since", since), time_of("--until", until), source)
         table = answer(log, sql, scope)
     try:

@@ -8,8 +8,10 @@ import pyarrow as pa
 import typer
 
 from events import load_catalogue
-from patterns.cases import run_tests
-from patterns.lint import check
+from patterns.cases import TestResult, run_tests
+from patterns.errors import RuleError
+from patterns.lint import Finding, check, finding_of
+from patterns.loading import load_rule
 from patterns.processor import Processor, schemas
 from patterns.rule import Rule
 from store import Projector
@@ -19,7 +21,7 @@ from vian.options import opened, settings_for
 from vian.output import Output
 from vian.parts import Parts, stepping
 from vian.replication import utc_now
-from vian.rules import deploy_all, load_all
+from vian.rules import deploy_all, files_of, load_all, misplaced
 
 app = typer.Typer(help="Check rule files, and run them over the log.", no_args_is_help=True)
 
@@ -29,32 +31,59 @@ _STEP_SECONDS = 1.0
 
 @app.command(name="check", epilog="Example: vian rules check rules/")
 def check_rules(paths: Paths, as_json: options.Json = False) -> None:
-    """Read rule files, bind them to the event types, and run the tests in them."""
+    """Read rule files, bind them to the event types, and run the tests in them; all of them, whatever is wrong."""
     output = Output(is_json=as_json)
     known = schemas(load_catalogue())
-    rules = load_all(paths)
-    bad = [rule.rule for rule in rules if not _is_good(rule, known, output)]
+    files = files_of(paths)
+    names: dict[str, Rule] = {}
+    bad = [str(file) for file in files if not _is_good(file, names, known, output)]
     if bad:
-        raise WrongUsage(f"{len(bad)} of {len(rules)} rules did not pass: {', '.join(bad)}")
+        raise WrongUsage(f"{len(bad)} of {len(files)} rule files did not pass: {', '.join(bad)}")
 
 
-def _is_good(rule: Rule, known: Mapping[str, pa.Schema], output: Output) -> bool:
-    """Print what is found about the rule; whether it can go into service."""
+def _is_good(file: Path, names: dict[str, Rule], known: Mapping[str, pa.Schema], output: Output) -> bool:
+    """Print what is found about the rule of the file; whether it can go into service."""
+    try:
+        rule = load_rule(file)
+        if (other := names.setdefault(rule.rule, rule)) is not rule:
+            raise rule.error(f"the rule {rule.rule!r} is also defined in {other.path}. Next: rename one", "rule")
+        return _passes(rule, known, output)
+    except RuleError as error:
+        _print_finding(None, finding_of(error), output)
+    except OSError as error:
+        message = f"the rule file {file} cannot be read: {error.strerror}. Next: give a rule file or a folder of them"
+        output.result({"file": str(file), "severity": "error", "message": message}, f"{file}: error: {message}")
+    return False
+
+
+def _passes(rule: Rule, known: Mapping[str, pa.Schema], output: Output) -> bool:
+    """Print what is found about the rule, and how its tests went; whether it can go into service."""
     findings = check(rule, known)
     for finding in findings:
-        output.result({"rule": rule.rule, "severity": finding.severity, "message": finding.message}, str(finding))
+        _print_finding(rule.rule, finding, output)
     if any(finding.severity == "error" for finding in findings):
         return False
     results = run_tests(rule, known)
     for result in results:
-        verdict = "passed" if result.passed else f"FAILED\n{result.difference}"
         output.result(
             {"rule": rule.rule, "test": result.name, "passed": result.passed, "difference": result.difference},
-            f"{rule.rule} v{rule.version}, {result.name}: {verdict}",
+            f"{rule.rule} v{rule.version}, {result.name}: passed" if result.passed else _failed(rule, result),
         )
     if not results:
         output.result({"rule": rule.rule, "tests": 0}, f"{rule.rule} v{rule.version}: fits, but has no tests")
     return all(result.passed for result in results)
+
+
+def _failed(rule: Rule, result: TestResult) -> str:
+    at = f"{result.place.file}:{result.place.line}:{result.place.column}"
+    head = "" if result.difference.startswith("!") else "; wanted (-), got (+)"
+    return f"{at}: error: {rule.rule} v{rule.version}, {result.name}: FAILED{head}\n{result.difference}"
+
+
+def _print_finding(rule: str | None, finding: Finding, output: Output) -> None:
+    place = {"file": finding.place.file, "line": finding.place.line, "column": finding.place.column}
+    values = {"rule": rule, "severity": finding.severity, "message": finding.message, **place}
+    output.result(values, str(finding))
 
 
 @app.command(epilog="Example: vian rules run rules/ --once")
@@ -72,6 +101,8 @@ def run(
     rules = load_all(paths)
     with opened(settings, data_dir=data_dir, is_made=True) as log:
         processor = Processor(log, settings.station, rules, now=None if once else utc_now)
+        for remark in misplaced(log, rules):
+            output.note(f"warning: {remark}")
         for rule in deploy_all(log, settings.station, rules):
             output.note(f"deployed {rule.rule} version {rule.version}")
         found = 0
@@ -92,6 +123,8 @@ def run(
     for name, late in processor.late.items():
         if late:
             output.note(f"rule {name}: {late} events came too late to take part")
+    if processor.segments_skipped:
+        output.note(f"{processor.segments_skipped} segments of versions unknown here took no part. Next: upgrade ViAn")
     output.result({"rules": len(rules), "situations": found}, f"{found} situations found by {len(rules)} rules")
     if processor.failures:
         reasons = "; ".join(f"{name}: {failure}" for name, failure in processor.failures.items())

@@ -1,4 +1,8 @@
-"""`vian serve`: the long-running program of a station or of the central server."""
+"""`vian serve`: the long-running program of a station or of the central server.
+
+Told to stop (SIGINT, SIGTERM) it did what it was told and ends with 0, as service managers expect; the
+other commands, which are interrupted before their end, end with 130.
+"""
 
 import signal
 import threading
@@ -20,7 +24,7 @@ from vian.parts import Part, Parts, stepping
 from vian.replication import load_plan, station_daemon, sync_part
 from vian.rules import processor_part
 from vian.settings import Settings
-from vian.stations import read_grants, read_token
+from vian.stations import StationsFile, read_token
 
 STEP_SECONDS = 1.0
 
@@ -55,7 +59,7 @@ def serve(
     station: options.Station = None,
     as_json: Annotated[bool, typer.Option("--json", help="Logs as one JSON object a line.")] = False,
 ) -> None:
-    """Run the HTTP interface, the row projector, the rules and sync in one program, until SIGINT or SIGTERM."""
+    """Run the HTTP interface, the row projector, the rules and sync in one program, until Ctrl-C or SIGTERM: then 0."""
     given = {"host": host, "port": port, "rules": rules, "stations_file": stations_file, "central": central}
     settings = settings_for(data_dir, dsn, station=station, token_file=token_file, plan=plan, **given)
     logs.configure(as_json=as_json)
@@ -64,7 +68,7 @@ def serve(
             "a central server needs to know its stations. Next: vian station add NAME --stations-file FILE, "
             "then give --stations-file FILE here"
         )
-    grants = read_grants(settings.stations_file) if role is Role.CENTRAL and settings.stations_file else None
+    grants = StationsFile(settings.stations_file) if role is Role.CENTRAL and settings.stations_file else None
     listening = bind(settings.host, settings.port)
     with ExitStack() as stack:
         stack.callback(listening.close)

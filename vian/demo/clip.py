@@ -4,6 +4,8 @@ In this order: a file that the user names; the sample folder (`VIAN_DATA`); a pi
 is checked against its SHA-256; and, offline, a street scene that the demo renders itself.
 """
 
+import logging
+import re
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -76,7 +78,7 @@ def choose(given: Path | None, samples: Path, note: Callable[[str], None], *, ur
             note(f"downloading the sample clip, 3 MB, from {url}")
         return Clip(_downloaded(url), Origin.DOWNLOAD, ATTRIBUTION)
     except (OSError, ValueError) as error:
-        note(f"the sample clip cannot be downloaded ({_first_line(error)}); showing a rendered street scene instead")
+        note(f"the sample clip cannot be downloaded ({_reason(error)}); showing a rendered street scene instead")
     try:
         return Clip(_rendered(), Origin.RENDERED, "Clip: a street scene rendered by ViAn itself")
     except OSError as error:
@@ -89,6 +91,7 @@ def _cache() -> Path:
 
 def _downloaded(url: str) -> Path:
     """The pinned clip, from the cache if it is there; checked against its SHA-256 each time."""
+    pooch.get_logger().setLevel(logging.WARNING)  # that it is fetched, `choose` has said
     return Path(
         pooch.retrieve(
             url,
@@ -112,5 +115,11 @@ def _rendered() -> Path:
     return path
 
 
-def _first_line(error: Exception) -> str:
-    return str(error).strip().splitlines()[0][:200] if str(error).strip() else type(error).__name__
+def _reason(error: OSError | ValueError) -> str:
+    """Why it failed, in a few words: what libraries say of a lost connection is a chain of their own classes."""
+    if isinstance(error, ValueError):
+        return "its SHA-256 hash is not the pinned one"
+    if (response := getattr(error, "response", None)) is not None:
+        return f"the server answered {response.status_code}"
+    found = re.findall(r"\[Errno -?\d+\] ([^\"'()]+)", str(error))
+    return found[-1].strip() if found else type(error).__name__

@@ -12,6 +12,7 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from datetime import datetime
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +34,8 @@ Pixels = npt.NDArray[np.float64]
 
 THUMBNAILS_MAX = 48
 """Situations that get a picture; more are listed without one."""
+BRIEF_SECONDS = 3.0
+"""Tracks shorter than this are drawn faintly."""
 _THUMBNAIL_HEIGHT_PX = 220
 _JPEG_QUALITY = 82
 _GOLDEN_ANGLE = 0.381966
@@ -52,6 +55,11 @@ class Track:
     left_percent: float
     width_percent: float
     seconds: float
+
+    @property
+    def is_brief(self) -> bool:
+        """Whether it is too short to say much: flicker more often than somebody."""
+        return self.seconds < BRIEF_SECONDS
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,16 +139,17 @@ def write_report(log: Log, video: Path, rules: Sequence[Rule], facts: Facts, fil
     span_s = max([(row["time"] - start).total_seconds() for row in points], default=1.0) or 1.0
     by_sequence = {point["sequence"]: point for point in points}
     deciding = [_deciding(row, by_sequence) for row in found]
-    busiest = _busiest_frame(points)
-    wanted = {d.frame for d in deciding[:THUMBNAILS_MAX] if d} | {busiest}
+    quiet = _quiet_frame({point["frame"] for point in points})
+    wanted = {d.frame for d in deciding[:THUMBNAILS_MAX] if d} | {quiet}
     pictures = {frame.index: frame.image for frame in _frames(video, wanted)}
     page = _template().render(
         facts=facts,
         size=size,
         unit=11 * max(size[0] / 1140, size[1] / 720),  # 11 px where the picture is shown in at most 1140 x 720
         span_s=span_s,
-        background=_data_uri(pictures.get(busiest)),
-        busiest=busiest,
+        background=_data_uri(pictures.get(quiet)),
+        quiet=quiet,
+        brief=f"{BRIEF_SECONDS:g}",
         tracks=_tracks(points, start, span_s),
         shapes=_shapes(rules, size),
         ticks=_ticks(span_s),
@@ -181,12 +190,14 @@ def _tracks(points: Sequence[dict[str, Any]], start: datetime, span_s: float) ->
     return tracks
 
 
-def _shapes(rules: Sequence[Rule], size: tuple[int, int]) -> dict[Shape, str]:
-    """Each place once, with all its names."""
-    zones = [(name, zone.scaled(zone.polygon, size), True) for rule in rules for name, zone in rule.zones.items()]
-    lines = [(name, line.points_px(size), False) for rule in rules for name, line in rule.lines.items()]
-    named = [(name, _shape(pixels, is_zone)) for name, pixels, is_zone in [*zones, *lines]]
-    return {place: ", ".join(sorted({name for name, other in named if other == place})) for _, place in named}
+def _shapes(rules: Sequence[Rule], size: tuple[int, int]) -> dict[Shape, list[str]]:
+    """Each place once, with all its names and the rules that give them."""
+    named = []
+    for rule in rules:
+        zones = [(name, zone.scaled(zone.polygon, size), True) for name, zone in rule.zones.items()]
+        lines = [(name, line.points_px(size), False) for name, line in rule.lines.items()]
+        named += [(f"{name} ({rule.rule})", _shape(pixels, is_zone)) for name, pixels, is_zone in [*zones, *lines]]
+    return {place: sorted({name for name, other in named if other == place}) for _, place in named}
 
 
 def _shape(pixels: Pixels, is_zone: bool) -> Shape:
@@ -231,12 +242,11 @@ def _deciding(row: dict[str, Any], points: dict[int, dict[str, Any]]) -> _Decidi
     return _Deciding(point["frame"], (point["x1"], point["y1"], point["x2"], point["y2"])) if point else None
 
 
-def _busiest_frame(points: Sequence[dict[str, Any]]) -> int:
-    """The frame with most tracks in it; the earliest of several, 0 for none."""
-    counts: dict[int, int] = {}
-    for point in points:
-        counts[point["frame"]] = counts.get(point["frame"], 0) + 1
-    return max(counts, key=lambda frame: (counts[frame], -frame), default=0)
+def _quiet_frame(tracked: set[int]) -> int:
+    """A frame for the background: in the middle of the longest time without tracks, else the first."""
+    ends = [-1, *sorted(tracked)]
+    before, after = max(pairwise(ends), key=lambda pair: pair[1] - pair[0], default=(0, 0))
+    return (before + after) // 2 if after - before > 1 else 0
 
 
 def _frames(video: Path, wanted: set[int]) -> Iterable[Frame]:

@@ -252,7 +252,7 @@ def summary_rows(summary: Summary) -> Iterator[tuple[str, str]]:
     """The summary as names and values, for the table and the report."""
     extraction = summary.extraction
     yield "frames", f"{extraction.frames}" + (" (extracted in an earlier run)" if extraction.was_done else "")
-    yield "events", f"{summary.events}"
+    yield "events in the log", f"{summary.events}"
     yield "bytes per event", f"{summary.bytes_per_event:.1f}"
     for row in summary.situations.to_pylist():
         yield f"situations: {row['rule']}", str(row["situations"])
@@ -260,6 +260,10 @@ def summary_rows(summary: Summary) -> Iterator[tuple[str, str]]:
         yield "situations", "0"
     yield "events replicated", f"{summary.events_replicated}"
     yield "chains verified", "yes, heads agree" if summary.is_sound else "NO"
+
+
+def _shown(value: object) -> str:
+    return f"{value:%Y-%m-%d %H:%M:%S}" if isinstance(value, datetime) else str(value)
 
 
 def _facts(summary: Summary) -> Facts:
@@ -270,6 +274,6 @@ def _facts(summary: Summary) -> Facts:
         source=summary.extraction.source,
         station=STATION,
         answer_sql=ANSWER_SQL,
-        answer=[[str(value) for value in row.values()] for row in summary.situations.to_pylist()],
+        answer=[[_shown(value) for value in row.values()] for row in summary.situations.to_pylist()],
         answer_columns=summary.situations.column_names,
     )

@@ -25,7 +25,7 @@ def test_a_video_is_extracted_and_its_rows_are_there(log: Log, run: Run, clip: P
     before = heads(log)
     again = run("extract", "motion", clip, *options)
     assert again.out == (
-        f"process {values['process']}: 60 frames, {values['events']} events, 0 gaps "
+        f"process {values['process']}: 60 frames, {values['events']} events found besides the process's own, 0 gaps "
         "(done in an earlier run; --again 2 repeats it as a new process)\n"
     )
     assert heads(log) == before
@@ -64,3 +64,13 @@ def test_a_source_must_be_named(log: Log, run: Run, clip: Path) -> None:
     ran = run("extract", "motion", clip, "--dsn", log.dsn)
     assert ran.code == 2
     assert "--source" in ran.words
+
+
+@pytest.mark.parametrize("start, noted", [("2026-01-01T10:00", True), ("2026-01-01T12:00+02:00", False)])
+def test_a_start_without_a_zone_is_utc_and_that_is_told(
+    log: Log, run: Run, clip: Path, start: str, noted: bool
+) -> None:
+    ran = run("extract", "motion", clip, "--source", "gate", "--dsn", log.dsn, "--start", start)
+    assert ran.code == 0
+    assert ("--start names no time zone: taken as UTC, 2026-01-01T10:00:00+00:00" in ran.words) == noted
+    assert min(segment.header.time_min for segment in log.read_all(types=["track_point"])).hour == START.hour

@@ -6,6 +6,7 @@ from typing import Any
 
 import psycopg
 import pytest
+from psycopg.conninfo import make_conninfo
 
 from events import SHIPPED, Catalogue, batch_of
 from store import Log, Projector
@@ -97,6 +98,38 @@ def test_psql_asks_the_row_tables(filled: Log, run: Run, capfd: pytest.CaptureFi
     ran = run("psql", "--dsn", filled.dsn, "--", "-Atc", "select count(*) from track_point")
     assert ran.code == 0
     assert capfd.readouterr().out == "40\n"
+
+
+def test_psql_takes_its_own_options_without_a_dash_dash_too(
+    filled: Log, run: Run, capfd: pytest.CaptureFixture[str], fake_psql: None
+) -> None:
+    assert run("psql", "--dsn", filled.dsn, "-At", "-c", "select 7").code == 0
+    assert capfd.readouterr().out == "7\n"
+
+
+def test_psql_reads_and_cannot_empty_a_row_table(
+    filled: Log, run: Run, capfd: pytest.CaptureFixture[str], fake_psql: None
+) -> None:
+    Projector(filled).catch_up()
+    assert run("psql", "--dsn", filled.dsn, "--", "-c", "truncate track_point").code == 1
+    assert "permission denied" in capfd.readouterr().err
+    assert run("psql", "--dsn", filled.dsn, "--", "-Atc", "select current_user, count(*) from track_point").code == 0
+    assert capfd.readouterr().out == "vian_reader|40\n"
+
+
+def test_psql_is_the_owner_when_asked(
+    filled: Log, run: Run, capfd: pytest.CaptureFixture[str], fake_psql: None
+) -> None:
+    assert run("psql", "--owner", "--dsn", filled.dsn, "--", "-Atc", "select current_user = session_user").code == 0
+    assert capfd.readouterr().out == "t\n"
+
+
+def test_psql_keeps_the_options_of_the_address(
+    filled: Log, run: Run, capfd: pytest.CaptureFixture[str], fake_psql: None
+) -> None:
+    dsn = make_conninfo(filled.dsn, options="-c work_mem=7MB")
+    assert run("psql", "--dsn", dsn, "--", "-Atc", "select current_user, current_setting('work_mem')").code == 0
+    assert capfd.readouterr().out == "vian_reader|7MB\n"
 
 
 def test_psql_that_fails_is_told(filled: Log, run: Run, fake_psql: None) -> None:

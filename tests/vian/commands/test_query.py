@@ -11,7 +11,7 @@ import pytest
 
 from store import Log
 from tests.vian.conftest import Run
-from tests.vian.samples import append, points
+from tests.vian.samples import YARD, append, points
 
 ODD = """
 select 'a' as x, 2 as x, interval 90 second as span, timestamptz 'infinity' as never, 'nan'::double as nan,
@@ -91,16 +91,18 @@ def test_a_file_that_cannot_be_written_is_told(filled: Log, run: Run) -> None:
 
 def test_a_query_is_pruned_by_time_and_source(filled: Log, run: Run) -> None:
     sql = "select count(*) as n from track_point"
+    append(filled, points(1), YARD)
     ran = run(
         "query", sql, "--dsn", filled.dsn, "--json", "--since", "2026-01-01T10:00:02Z", "--until", "2026-01-01T10:00:05"
     )
     assert json.loads(ran.out) == {"n": 3}
-    assert json.loads(run("query", sql, "--dsn", filled.dsn, "--json", "--source", "yard").out) == {"n": 0}
+    assert json.loads(run("query", sql, "--dsn", filled.dsn, "--json", "--source", "yard").out) == {"n": 1}
 
 
 @pytest.mark.parametrize(
     "arguments, said",
     [
+        (["select 1; select 2"], "a query is one statement, got 2. Next: ask one after the other"),
         (["selct 1"], "the query is not right: Parser Error: syntax error"),
         (["select * from nowhere"], "Tables: events, streams, activity_interval"),
         (["select 1", "--since", "yesterday"], "--since must be a time such as"),
@@ -114,9 +116,48 @@ def test_a_mistake_is_wrong_usage(filled: Log, run: Run, arguments: list[str], s
     assert said in ran.words
 
 
-def test_an_unknown_source_is_no_mistake_but_an_empty_answer(filled: Log, run: Run) -> None:
+def test_an_unknown_source_is_told_with_the_known_ones(filled: Log, run: Run) -> None:
     ran = run("query", "select * from events", "--dsn", filled.dsn, "--source", "nobody", "--json")
-    assert (ran.code, ran.out) == (0, "")
+    assert (ran.code, ran.out) == (2, "")
+    assert "no source 'nobody' in this log; known: gate" in ran.words
+
+
+@pytest.mark.parametrize(
+    "sql",
+    [
+        "DELETE FROM events",
+        "truncate events",
+        "insert into events values (1)",
+        "update track_point set x = 1",
+        "drop table events",
+        "alter table events add column x int",
+    ],
+)
+def test_a_query_that_would_write_is_told_that_the_log_is_append_only(filled: Log, run: Run, sql: str) -> None:
+    ran = run("query", sql, "--dsn", filled.dsn)
+    assert (ran.code, ran.out) == (2, "")
+    assert "the log is append-only, and query only reads: wanted SELECT, got " in ran.words
+    assert "Did you mean" not in ran.err
+
+
+@pytest.mark.parametrize("sql", ["", " ", ";", "/* nothing */"])
+def test_an_empty_query_is_told_with_an_example(filled: Log, run: Run, sql: str) -> None:
+    ran = run("query", sql, "--dsn", filled.dsn)
+    assert (ran.code, ran.out) == (2, "")
+    assert ran.words == ('error: the query is empty. Next: vian query "SELECT type, count(*) FROM events GROUP BY ALL"')
+
+
+def test_tables_of_ours_are_named_and_duckdbs_own_not_guessed(filled: Log, run: Run) -> None:
+    ran = run("query", "select * from track_points", "--dsn", filled.dsn)
+    assert "Tables: events, streams, activity_interval" in ran.words
+    assert "Did you mean" not in ran.err
+    assert 'Did you mean "floor"' in run("query", "select floo(1.5)", "--dsn", filled.dsn).err
+
+
+def test_a_single_wide_row_is_shown_a_value_a_line(filled: Log, run: Run) -> None:
+    columns = ", ".join(f"{number} as column_{number}" for number in range(40))
+    ran = run("query", f"select {columns}", "--dsn", filled.dsn)
+    assert "\ncolumn_39: 39\n" in ran.out
 
 
 def test_bytes_that_do_not_decode_lead_to_verify(log: Log, run: Run) -> None:

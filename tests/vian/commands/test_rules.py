@@ -45,8 +45,9 @@ def test_a_test_that_fails_is_wrong_usage_and_shows_the_difference(
     ran = run("rules", "check", path)
     assert ran.code == code
     if code:
-        assert "high v1, one is high: FAILED" in ran.out
-        assert "1 of 1 rules did not pass: high" in ran.words
+        difference = "high v1, one is high: FAILED; wanted (-), got (+)\n- at: 8\n+ at: 9.0\n"
+        assert ran.out.endswith(f"\n{path}:13:5: error: {difference}")
+        assert f"1 of 1 rule files did not pass: {path}" in ran.words
 
 
 def test_a_rule_without_tests_fits_and_that_is_said(run: Run, tmp_path: Path) -> None:
@@ -121,8 +122,53 @@ def test_a_changed_rule_of_the_same_version_is_wrong_usage(log: Log, run: Run, t
 def test_a_rule_file_that_is_not_there_is_wrong_usage(run: Run, arguments: list[str]) -> None:
     ran = run("rules", *arguments)
     assert ran.code == 2
-    assert "the rule file gone.yaml cannot be read" in ran.words
+    assert "the rule file gone.yaml cannot be read" in ran.out + ran.words
     assert not Path("log").exists()
+
+
+def test_all_files_are_checked_and_each_that_is_wrong_is_named_in_one_form(run: Run, tmp_path: Path) -> None:
+    (tmp_path / "a.yaml").write_text("rule: [")
+    (tmp_path / "b.yaml").write_bytes(b"rule: \xff")
+    write_rule(tmp_path / "c.yaml", name="twice")
+    write_rule(tmp_path / "d.yaml", name="twice")
+    (tmp_path / "e.yaml").write_text(HIGH.format(name="e", version=1, x=5) + CASE.format(at=8).replace(": 9}", ": z}"))
+    (tmp_path / "f.yaml").symlink_to(tmp_path / "gone.yaml")
+    (tmp_path / "g.yaml").write_text(HIGH.format(name="g", version=1, x=5) + CASE.format(at=8))
+    (tmp_path / "h.yaml").write_text(HIGH.format(name="h", version=1, x=5) + CASE.format(at=9))
+    ran = run("rules", "check", tmp_path)
+    assert ran.code == 2
+    told = [line for line in ran.out.splitlines() if "error: " in line]
+    assert [line.removeprefix(f"{tmp_path}/").split(": ")[0] for line in told] == [
+        "a.yaml:1:8", "b.yaml:1:7", "d.yaml:1:7", "e.yaml:15:7", "f.yaml", "g.yaml:13:5",
+    ]  # fmt: skip
+    assert f"the rule 'twice' is also defined in {tmp_path}/c.yaml. Next: rename one" in told[2]
+    assert "h v1, one is high: passed" in ran.out
+    assert "6 of 8 rule files did not pass: " in ran.words
+    objects = [json.loads(line) for line in run("rules", "check", tmp_path, "--json").out.splitlines()]
+    assert len([each for each in objects if each.get("severity") == "error"]) == 5
+
+
+ZONE = "zones: {yard: {source: cam-01, polygon: [[0, 0], [1, 0], [1, 1]]}}\n"
+
+
+@pytest.mark.parametrize("source, is_warned", [("cam-01", True), ("gate", False)])
+def test_a_zone_of_a_source_that_the_log_has_not_is_told_before_the_rule_is_deployed(
+    log: Log, run: Run, tmp_path: Path, source: str, is_warned: bool
+) -> None:
+    append(log, points(1))
+    path = write_rule(tmp_path / "high.yaml")
+    path.write_text(path.read_text() + ZONE.replace("cam-01", source))
+    ran = run("rules", "run", path, "--once", "--dsn", log.dsn, "--station", "brno")
+    assert ran.code == 0
+    said = f"high: zone 'yard' is of source {source}, of which this log has no track_point; it has: gate. Next: change"
+    assert (said in ran.words) == is_warned
+    assert ran.words.endswith("deployed high version 1")
+
+
+def test_a_rule_on_an_empty_log_waits_for_its_source_in_silence(log: Log, run: Run, tmp_path: Path) -> None:
+    path = write_rule(tmp_path / "high.yaml")
+    path.write_text(path.read_text() + ZONE)
+    assert "warning" not in run("rules", "run", path, "--once", "--dsn", log.dsn).err
 
 
 def test_rules_of_two_stations_run_over_one_log_beside_each_other(log: Log, run: Run, tmp_path: Path) -> None:

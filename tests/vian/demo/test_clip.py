@@ -1,4 +1,5 @@
 import hashlib
+import re
 import threading
 from collections.abc import Iterator
 from functools import partial
@@ -7,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import platformdirs
+import pooch
 import pytest
 
 from vian.demo import clip as clips
@@ -96,7 +98,10 @@ def test_the_sample_in_the_folder_is_the_pinned_clip(vian_data: Path) -> None:
     assert hashlib.sha256(chosen.path.read_bytes()).hexdigest() == clips.SHA256
 
 
-def test_the_download_comes_third_and_is_kept(site: Site, pinned: None) -> None:
+def test_the_download_comes_third_and_is_kept(
+    site: Site, pinned: None, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(pooch.get_logger(), "handlers", [caplog.handler])
     notes: list[str] = []
     for _ in range(2):
         chosen = choose(None, NOWHERE, notes.append, url=site.url)
@@ -105,13 +110,14 @@ def test_the_download_comes_third_and_is_kept(site: Site, pinned: None) -> None:
     assert site.asked == [f"/{NAME}"]
     assert notes == [f"downloading the sample clip, 3 MB, from {site.url}"]
     assert "CC BY 4.0" in ATTRIBUTION
+    assert caplog.records == [], "what is to be said, the demo says"
 
 
 def test_a_download_with_the_wrong_checksum_is_not_shown(site: Site, quick_street: list[Path]) -> None:
     notes: list[str] = []
     chosen = choose(None, NOWHERE, notes.append, url=site.url)
     assert chosen.origin is Origin.RENDERED
-    assert "hash" in notes[-1]
+    assert "(its SHA-256 hash is not the pinned one)" in notes[-1]
     assert "rendered street scene" in notes[-1]
     assert not list(platformdirs.user_cache_path("vian").glob(f"*{NAME}*"))
 
@@ -121,6 +127,17 @@ def test_a_kept_clip_that_was_damaged_is_fetched_again(site: Site, pinned: None)
     path.write_bytes(b"damaged")
     assert choose(None, NOWHERE, lambda _: None, url=site.url).path.read_bytes() == CONTENT
     assert len(site.asked) == 2
+
+
+@pytest.mark.parametrize("url", ["http://127.0.0.1:9/clip.mp4", "http://nowhere.invalid/clip.mp4"])
+def test_why_a_clip_cannot_be_downloaded_is_said_in_a_few_words(
+    url: str, quick_street: list[Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("no_proxy", "*")
+    notes: list[str] = []
+    choose(None, NOWHERE, notes.append, url=url)
+    (reason,) = re.findall(r"cannot be downloaded \((.*)\);", notes[-1])
+    assert reason == "Connection refused" or "name" in reason.lower()
 
 
 @pytest.mark.parametrize("url", ["http://127.0.0.1:9/clip.mp4", "http://nowhere.invalid/clip.mp4"])
@@ -138,7 +155,9 @@ def test_offline_the_street_is_rendered_and_that_is_said(
 
 
 def test_a_page_that_is_not_there_is_as_good_as_offline(site: Site, quick_street: list[Path]) -> None:
-    assert choose(None, NOWHERE, lambda _: None, url=f"{site.url}.gone").origin is Origin.RENDERED
+    notes: list[str] = []
+    assert choose(None, NOWHERE, notes.append, url=f"{site.url}.gone").origin is Origin.RENDERED
+    assert "(the server answered 404)" in notes[-1]
 
 
 def test_the_street_is_rendered_once_and_never_left_half_done(quick_street: list[Path], monkeypatch: Any) -> None:

@@ -125,7 +125,9 @@ def test_the_demos_report_shows_tracks_places_timeline_and_pictures(stage: Stage
     assert len(page.all("polyline", class_="track")) == 1
     assert len(page.all("polygon", class_="shape")) == 1
     assert len(page.all("polyline", class_="line")) == 1
-    assert "restricted, watched" in page.text
+    source = summary.extraction.source
+    assert f"restricted (zone-intrusion-{source})watched (loitering-{source})" in page.text
+    assert f"door (line-crossing-{source})" in page.text
     shown = page.all("article")
     assert len(shown) == sum(row["situations"] for row in summary.situations.to_pylist()) == 2
     assert len(page.all("img")) == 2
@@ -206,6 +208,30 @@ def test_a_situation_that_rests_on_no_track_has_no_picture(
     assert page.all("img") == []
     assert "None" not in page.text
     assert "track ," not in page.text
+
+
+def test_the_background_is_a_frame_without_tracks_where_there_is_one(
+    log: Log, clip: Path, rules: Sequence[Rule], tmp_path: Path
+) -> None:
+    fill(log, clip, tracks=1, situations=0)  # points at the frames 0, 10 and 20
+    assert "over frame 5;" in report(log, clip, rules, tmp_path).text
+
+
+def test_brief_tracks_are_faint_and_others_are_not(log: Log, clip: Path, rules: Sequence[Rule], tmp_path: Path) -> None:
+    fill(log, clip, tracks=1, situations=0)
+    lasting = [_point(1, number) for number in (0, 1, 2, 5)]
+    append(log, batch_of(lasting), stream("track_point"))
+    page = report(log, clip, rules, tmp_path)
+    assert [each["data-track"] for each in page.all("polyline", class_="brief")] == ["1"]
+    assert len(page.all("polyline", class_="track")) == 2
+
+
+def test_a_note_to_a_number_stands_in_small_type(log: Log, clip: Path, rules: Sequence[Rule], tmp_path: Path) -> None:
+    fill(log, clip, tracks=1, situations=0)
+    facts = replace(FACTS, summary=[("frames", "60 (extracted in an earlier run)")])
+    report(log, clip, rules, tmp_path, facts)
+    page = (tmp_path / "report.html").read_text()
+    assert "<dd>60 <small>(extracted in an earlier run)</small></dd>" in page
 
 
 def test_a_thousand_tracks_fit(log: Log, clip: Path, rules: Sequence[Rule], tmp_path: Path) -> None:

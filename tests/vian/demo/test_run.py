@@ -71,7 +71,9 @@ def test_a_second_run_appends_nothing_and_shows_the_same(stage: Stage) -> None:
     assert second.extraction.was_done
     assert list(summary_rows(second))[1:] == list(summary_rows(first))[1:]
     assert ("frames", "60 (extracted in an earlier run)") in summary_rows(second)
-    assert stage.report.read_text() == page.replace("<dd>60</dd>", "<dd>60 (extracted in an earlier run)</dd>")
+    assert stage.report.read_text() == page.replace(
+        "<dd>60</dd>", "<dd>60 <small>(extracted in an earlier run)</small></dd>"
+    )
 
 
 class Stopped(Exception):

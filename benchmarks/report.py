@@ -1,0 +1,88 @@
+"""Writes docs/performance.md from the results of the benchmarks' last runs.
+
+    python -m benchmarks.report
+
+A test holds the page to the results: whoever measures anew writes it anew.
+"""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+RESULTS = Path(__file__).parent / "results"
+PAGE = Path(__file__).parents[1] / "docs" / "performance.md"
+_HEAD = """# Performance
+
+Written by `python -m benchmarks.report` from the last runs; do not edit. Figures come from a shared machine with two
+cores: read them as ratios, each taken beside its reference in one run, commits durable (`fsync` and
+`synchronous_commit` on).
+"""
+
+
+def main() -> None:
+    """Write the page."""
+    PAGE.write_text(page(), encoding="utf-8")
+
+
+def page() -> str:
+    """The page's text."""
+    return "\n".join([_HEAD, *_log(_loaded("log")), *_sustained(_loaded("sustained")), *_growth(_loaded("growth"))])
+
+
+def _loaded(name: str) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads((RESULTS / f"{name}.json").read_text(encoding="utf-8"))
+    return found
+
+
+def _log(said: dict[str, Any]) -> Iterator[str]:
+    yield f"## Beside references\n\n`python -m benchmarks.log`, {_when(said)}.\n"
+    yield "| what | ours | reference | ratio | target |\n|---|---:|---:|---:|---|"
+    for row in said["rows"]:
+        yield (
+            f"| {row['what']} | {row['ours']:,.0f} {row['unit']} | {row['reference']:,.0f} ({row['reference_name']}) "
+            f"| {row['ratio']:.2f} | {_target(row)} |"
+        )
+    yield ""
+
+
+def _target(row: dict[str, Any]) -> str:
+    if row["target"] is None:
+        return ""
+    is_reached = row["ratio"] >= row["target"] if row["at_least"] else row["ratio"] <= row["target"]
+    return f"{'at least' if row['at_least'] else 'at most'} {row['target']:g}: {'reached' if is_reached else 'missed'}"
+
+
+def _sustained(said: dict[str, Any]) -> Iterator[str]:
+    yield f"## For long, and in bursts\n\n`python -m benchmarks.sustained`, {_when(said)}.\n"
+    yield (
+        "| load | events/s | for | commit to subscriber, p50 / p99 | cores, PostgreSQL included | memory, middle / end "
+        "| most segments without rows | caught up after |\n|---|---:|---:|---:|---:|---:|---:|---:|"
+    )
+    for each in said["outcomes"]:
+        yield (
+            f"| {each['load']} | {each['events_per_s_reached']:,.0f} | {each['seconds']:g} s "
+            f"| {each['latency_p50_ms']:.1f} / {each['latency_p99_ms']:.1f} ms | {each['cores']:.2f} "
+            f"| {each['memory_mb_middle']:.0f} / {each['memory_mb_end']:.0f} MB "
+            f"| {each['projector_lag_segments_max']:,} | {each['seconds_to_catch_up']:.1f} s |"
+        )
+    yield ""
+
+
+def _growth(said: dict[str, Any]) -> Iterator[str]:
+    yield f"## As the log grows\n\n`python -m benchmarks.growth --plot docs/performance-growth.svg`, {_when(said)}.\n"
+    yield "![cost of an append and a read an event, and memory, over the log's length](performance-growth.svg)\n"
+    yield "| events in the log | append, µs an event | catch-up, µs an event | memory |\n|---:|---:|---:|---:|"
+    for point in said["points"]:
+        yield (
+            f"| {point['events']:,} | {point['append_us']:.2f} | {point['read_us']:.3f} | {point['memory_mb']:.0f} MB |"
+        )
+    yield ""
+
+
+def _when(said: dict[str, Any]) -> str:
+    return f"{said['measured_at'][:10]}{', a quick run' if said['is_quick'] else ''}"
+
+
+if __name__ == "__main__":
+    main()
