@@ -112,6 +112,18 @@ def test_a_new_log_on_a_full_disk_is_refused_and_succeeds_when_there_is_room(sma
         assert log.head() == 0
 
 
+def test_a_server_that_died_on_a_full_disk_is_told_of_with_the_room_left(small_disk: Path) -> None:
+    with open_log(data_dir=small_disk / "log") as log:
+        ballast = fill(small_disk, leave_mib=3)
+        kill_server(small_disk / "log")
+        with pytest.raises(
+            LogUnavailable, match=r"its disk is full \([23] MiB free, .*Next: make room; what waits goes on"
+        ):
+            log.head()
+        ballast.unlink()
+        assert log.with_retry(log.head) == 0
+
+
 def test_a_disk_that_fills_while_events_come_is_waited_for_until_there_is_room(small_disk: Path) -> None:
     waits: list[str] = []
     with open_log(data_dir=small_disk / "log") as log:
