@@ -6,11 +6,15 @@ checkpoints and verify are its methods. Rows for SQL are projections of segments
 
 from store.appender import Appender
 from store.audit import Covered
+from store.backup import Backup, back_up
 from store.errors import (
     ArchiveUnavailable,
+    BackupDamaged,
+    BackupUnusable,
     BadProof,
     BadRequest,
     ChainBroken,
+    DatabaseDamaged,
     LogUnavailable,
     SchemaMismatch,
     SealedFileDamaged,
@@ -24,6 +28,7 @@ from store.keys import StationKey, keys_of_others, known_keys, load_key, make_ke
 from store.log import Checkpoint, Log, StreamHead, Transaction, open_log
 from store.projector import Projector
 from store.proof import SignedCheckpoint, Statement, key_id
+from store.restoring import Restore, note_restored, restore, verify_restored
 from store.sealing import Sealer
 from store.shared import SharedAppender, Stored
 from store.signing import Signer
@@ -37,16 +42,21 @@ __all__ = [
     "Appended",
     "Appender",
     "ArchiveUnavailable",
+    "Backup",
+    "BackupDamaged",
+    "BackupUnusable",
     "BadProof",
     "BadRequest",
     "ChainBroken",
     "Checkpoint",
     "Covered",
+    "DatabaseDamaged",
     "Delivery",
     "Journal",
     "Log",
     "LogUnavailable",
     "Projector",
+    "Restore",
     "RowPolicy",
     "RowTable",
     "SchemaMismatch",
@@ -68,13 +78,17 @@ __all__ = [
     "Verification",
     "Verified",
     "WrongMajor",
+    "back_up",
     "key_id",
     "keys_of_others",
     "known_keys",
     "load_key",
     "maintain",
     "make_key",
+    "note_restored",
     "open_log",
+    "restore",
     "row_tables",
     "verify",
+    "verify_restored",
 ]

@@ -90,9 +90,11 @@ class EmbeddedServer:
             self._server = server
 
     def close(self) -> None:
-        """Stop the server if nobody else uses it."""
+        """Stop the server if nobody else uses it; who was killed does not."""
         server, self._server = self._server, None
         if server is not None:
+            with server._lock:
+                _forget_dead_users(self.data_dir / "pg")
             server.__exit__(None, None, None)
             _forget_if_unused(server)
 
@@ -137,9 +139,9 @@ def _initialise(pgdata: Path) -> None:
         found = version_file.read_text().strip()
         if found != str(MAJOR):
             raise WrongMajor(
-                f"{pgdata} was made by PostgreSQL {found}, this ViAn runs PostgreSQL {MAJOR}. Next: dump it with "
-                f"PostgreSQL {found}'s pg_dump, start ViAn with an empty --data-dir, and restore the dump there; "
-                "or open it with its own server and --dsn"
+                f"{pgdata} was made by PostgreSQL {found}, this ViAn runs PostgreSQL {MAJOR}. Next: run "
+                f"its own PostgreSQL {found} on it and vian backup FOLDER --dsn URL (or the ViAn that made it and vian "
+                "backup FOLDER), then vian restore FOLDER --verify with a new --data-dir"
             )
         return
     if pgdata.exists() and any(pgdata.iterdir()):
@@ -170,11 +172,26 @@ def _forget_the_dead(pgdata: Path) -> None:
     for lock_file in _server_lock_files(pgdata):
         if lock_file.exists() and not _is_server(lock_file.read_text().split("\n", 1)[0], pgdata):
             lock_file.unlink()
+    _forget_dead_users(pgdata)
+
+
+def _forget_dead_users(pgdata: Path) -> None:
+    """Take killed processes off the list of the server's users."""
+    if not pgdata.is_dir():
+        return
     users = DiskList(pgdata / ".handle_pids.json")
     with suppress(ValueError):  # a list torn by a kill is as good as an empty one
-        users.put([pid for pid in users._get() if psutil.pid_exists(pid)])
+        users.put([pid for pid in users._get() if _is_alive(pid)])
         return
     users.put([])
+
+
+def _is_alive(pid: int) -> bool:
+    """Whether a process bears the number; one that was killed and only waits to be collected does not."""
+    try:
+        return psutil.Process(pid).status() != psutil.STATUS_ZOMBIE
+    except psutil.NoSuchProcess:
+        return False
 
 
 def _server_lock_files(pgdata: Path) -> list[Path]:

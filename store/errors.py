@@ -4,12 +4,15 @@ StoreError
 ├── LogUnavailable       the database cannot be started or reached, or went away
 │   ├── WrongMajor       the data directory belongs to another major version of PostgreSQL
 │   └── ArchiveUnavailable  the place of the sealed files cannot be reached
+├── DatabaseDamaged      PostgreSQL finds that its own files do not hold what it wrote
 ├── SchemaMismatch       the database's schema is newer than this program, or not ours
 ├── SequenceConflict     a stream does not stand where the writer expected
 ├── TableBusy            a row table cannot be changed while queries read it
 ├── ChainBroken          stored or received bytes do not carry the hash that they should
 │   └── SealedFileDamaged   a part of a sealed file cannot be read
 ├── BadProof             a key, a signed checkpoint or a saved verification is not what it must be
+├── BackupUnusable       a backup cannot be made there, or cannot be restored here
+│   └── BackupDamaged    its files are not what its manifest says
 └── BadRequest           a call asked for what the log does not do
 """
 
@@ -34,6 +37,10 @@ class ArchiveUnavailable(LogUnavailable):
     """The place of the sealed files cannot be reached; what it holds is not lost by that."""
 
 
+class DatabaseDamaged(StoreError):
+    """PostgreSQL finds that its own files do not hold what it wrote."""
+
+
 class SchemaMismatch(StoreError):
     """The database's schema is newer than this program, or not ours."""
 
@@ -48,6 +55,14 @@ class TableBusy(StoreError):
 
 class BadRequest(StoreError):
     """A call asked for what the log does not do."""
+
+
+class BackupUnusable(StoreError):
+    """A backup cannot be made in this folder, or cannot be restored into this log."""
+
+
+class BackupDamaged(BackupUnusable):
+    """The files of a backup are not what its manifest says."""
 
 
 @dataclass(eq=False)

@@ -11,6 +11,7 @@ delete anything in the log.
 """
 
 import select
+import shutil
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -21,10 +22,10 @@ from typing import Any, Self, TypeVar
 import psycopg
 from psycopg_pool import ConnectionPool, PoolTimeout
 
-from events import Catalogue, Draft, EventType, Segment, StreamName, load_catalogue
+from events import Catalogue, Draft, EventType, Position, Segment, StreamName, load_catalogue
 from store.coldtier import ColdTier
 from store.embedded import EmbeddedServer
-from store.errors import BadRequest, LogUnavailable, StoreError
+from store.errors import BadRequest, ChainBroken, DatabaseDamaged, LogUnavailable, StoreError
 from store.reading import (
     Filter,
     TimeOrNone,
@@ -45,6 +46,8 @@ CONNECTIONS_MAX = 10
 _CONNECT_SECONDS = 15.0
 _PATIENCE_SECONDS = 1.0
 """How long to wait for the pool before asking the database itself whether it is there."""
+_ROOM_BYTES = 32 * 2**20
+"""With less room on its disk PostgreSQL may not be able to go on: it takes it in files of 16 MiB."""
 READ_SEGMENTS = 500
 """Segments fetched from the database at a time."""
 
@@ -220,12 +223,28 @@ class Log:
                     yield connection
             finally:
                 self._pool.putconn(connection)
+        except LogUnavailable as error:
+            raise LogUnavailable(f"{error}{self._room()}") from error
         except PoolTimeout as error:
             raise LogUnavailable(
                 f"all {CONNECTIONS_MAX} connections to {safe_dsn(self.dsn)} were busy for {_CONNECT_SECONDS:g} s"
             ) from error
         except psycopg.OperationalError as error:
-            raise LogUnavailable(f"the database at {safe_dsn(self.dsn)} is away: {error}".strip()) from error
+            raise LogUnavailable(
+                f"the database at {safe_dsn(self.dsn)} is away: {error}".strip() + self._room()
+            ) from error
+        except psycopg.InternalError as error:
+            raise _damaged(error) from error
+
+    def _room(self) -> str:
+        """A word on the embedded server's disk where it is nearly full: PostgreSQL dies of that without saying why."""
+        free = shutil.disk_usage(self.server.data_dir).free if self.server is not None else _ROOM_BYTES
+        if free >= _ROOM_BYTES:
+            return ""
+        return (
+            f"; its disk is full ({free // 2**20} MiB free, No space left on device). "
+            "Next: make room; what waits goes on by itself"
+        )
 
     def revive(self) -> None:
         """Start an embedded server again that died; do nothing for an external one.
@@ -327,7 +346,7 @@ class Log:
         """At most `limit` segments between two positions, both inclusive, that the filter lets through.
 
         Raises:
-            ChainBroken: A stored segment is one that no log can hold; `vian verify` tells more.
+            ChainBroken: A stored segment is one that no log can hold, or PostgreSQL cannot read it.
             ArchiveUnavailable: Sealed files cannot be reached.
         """
         found: list[Segment] = []
@@ -346,10 +365,25 @@ class Log:
 
     def _hot(self, first: int, last: int, chosen: Filter, limit: int) -> tuple[int, list[Segment]]:
         """The segments of a page that PostgreSQL holds, and the position up to which the log is sealed."""
-        rows = self._fetched(*read_query(first, last, chosen, limit))
+        try:
+            rows = self._fetched(*read_query(first, last, chosen, limit))
+        except DatabaseDamaged as error:
+            raise self._unreadable(first, last, error) from error
         # Asked after the segments where these did not say it: what is not sealed by now was there to be found.
         sealed = rows[0][0] if rows else self.archive.sealed_position()
         return sealed, [segment_of(row[1:]) for row in rows] if sealed < first else []
+
+    def _unreadable(self, first: int, last: int, damage: DatabaseDamaged) -> ChainBroken:
+        """The first segment between two positions that PostgreSQL cannot read, by bisection."""
+        while first < last:
+            middle = (first + last) // 2
+            try:
+                self._fetched(*read_query(first, middle, Filter(), middle - first + 1))
+            except DatabaseDamaged as error:
+                last, damage = middle, error
+            else:
+                first = middle + 1
+        return ChainBroken(StreamName.of("unknown", "unknown", "unknown"), Position(first), 0, str(damage))
 
     def head(self) -> int:
         """Position of the newest segment; 0 for an empty log."""
@@ -459,6 +493,15 @@ class Log:
         connection.autocommit = True
         connection.execute("set timezone to 'UTC'")
         connection.execute(psycopg.sql.SQL("set role {}").format(psycopg.sql.Identifier(self._role)))
+
+
+def _damaged(error: psycopg.InternalError) -> Exception:
+    """Our error for what PostgreSQL says of damaged files; any other is a defect and stays what it is."""
+    if not (error.sqlstate or "").startswith("XX"):
+        return error
+    return DatabaseDamaged(
+        f"PostgreSQL finds its files damaged: {error}. Next: keep them as they are, and restore a backup elsewhere"
+    )
 
 
 def _append(

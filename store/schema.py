@@ -57,7 +57,7 @@ def migrate(dsn: str, catalogue: Iterable[type[EventType]], revision: str = "hea
         if isinstance(error.orig, psycopg.errors.InsufficientPrivilege):
             raise LogUnavailable(
                 f"the schema cannot be created at {safe_dsn(dsn)}: {_first_line(error)}. "
-                "Next: connect once as a role that may create tables and roles"
+                "Next: connect once as a role that may create tables and roles; an account that only reads is for psql"
             ) from error
         raise SchemaMismatch(
             f"the schema cannot be created at {safe_dsn(dsn)}: {_first_line(error)}. "

@@ -189,6 +189,19 @@ archive_projections = sa.Table(
     comment="Which sealed files have their decoded events in Parquet beside them.",
 )
 
+maintenance = sa.Table(
+    "maintenance",
+    metadata,
+    sa.Column("id", sa.BigInteger, sa.Identity(always=True), primary_key=True),
+    sa.Column("at", TIMESTAMP, nullable=False, server_default=sa.func.now(), comment="when it was done (UTC)"),
+    sa.Column("action", sa.Text, nullable=False, comment="backed_up, restore_began, restored or verified"),
+    sa.Column("place", sa.Text, nullable=False, comment="folder of the backup"),
+    sa.Column("position", sa.BigInteger, nullable=False, comment="position up to which it holds"),
+    sa.CheckConstraint("action in ('backed_up', 'restore_began', 'restored', 'verified')", name="maintenance_action"),
+    comment="Backups of this log, and the restore that it came from.",
+)
+
+
 _SQL_TYPES: dict[pa.DataType, Any] = {
     pa.bool_(): sa.Boolean(),
     pa.int64(): sa.BigInteger(),

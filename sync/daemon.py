@@ -160,7 +160,7 @@ class Daemon:
                     priority,
                     head.sequence,
                     cursor.sequence if cursor else None,
-                    head.sequence - cursor.sequence if cursor else None,
+                    max(0, head.sequence - cursor.sequence) if cursor else None,
                     str(stopped) if stopped else None,
                 )
             )
@@ -265,6 +265,8 @@ class Daemon:
             key = key_of(head)
             if key in self._stopped:
                 continue
+            if head.epoch < self._log.epoch and cursors[key].sequence > head.sequence:
+                continue  # of before a restore: central has what came after the backup, and keeps it
             check_heads(head, cursors[key])
             if cursors[key].sequence < head.sequence:
                 waiting.append(((priority, self._turns.get(key, 0), head.stream, head.epoch), cursors[key]))

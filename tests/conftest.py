@@ -22,6 +22,7 @@ from events import Catalogue
 from store import Log, open_log
 from store.embedded import EmbeddedServer
 from store.schema import migrate
+from tests.store import disks
 
 PG15 = Path("/usr/lib/postgresql/15/bin")
 MEMORY = Path("/dev/shm")
@@ -51,6 +52,17 @@ class Server:
         with psycopg.connect(self.dsn("postgres"), autocommit=True) as connection:
             for statement in statements:
                 connection.execute(statement)
+
+    def wait_for(self, wanted: dict[str, str]) -> None:
+        """Return when new connections have these settings: a reload takes a moment to reach them."""
+        names, found = sorted(wanted), {}
+        while found != wanted:
+            with psycopg.connect(self.dsn("postgres"), autocommit=True) as connection:
+                found = dict(
+                    connection.execute(
+                        "select name, setting from pg_settings where name = any(%s)", (names,)
+                    ).fetchall()
+                )
 
     def create_database(self, template: str = TEMPLATE) -> str:
         """Name of a new database, a clone of the template."""
@@ -134,6 +146,15 @@ def public_folder() -> Iterator[Path]:
     folder.chmod(0o755)
     yield folder
     shutil.rmtree(folder)
+
+
+@pytest.fixture
+def small_disk(public_folder: Path) -> Iterator[Path]:
+    """A file system of 160 MiB in memory."""
+    with disks.small_disk(public_folder / "small-disk") as disk:
+        if disk is None:
+            pytest.skip("a file system of limited size can be mounted by root only, and not in every container")
+        yield disk
 
 
 @pytest.fixture(scope="session")

@@ -41,6 +41,9 @@ MODULES = {
     "station": "station",
     "evidence": "evidence",
     "archive": "archive",
+    "backup": "backup",
+    "restore": "backup",
+    "upgrade": "upgrade",
 }
 """Each command or group of commands, in the order of the help, and the module of `vian.commands` that has it."""
 

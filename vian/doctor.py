@@ -10,14 +10,13 @@ import shutil
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from enum import StrEnum
 from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 
 from store import BadProof, Log, StoreError, load_key
 from store.embedded import MAJOR
-from store.projector import NAME as PROJECTOR
+from vian.findings import Finding, Verdict
+from vian.log_checks import check_log
 from vian.options import has_log
 from vian.settings import Settings, config_file
 from vian.signatures import key_path
@@ -25,24 +24,6 @@ from vian.version import VERSION
 
 PACKAGES = ("events", "store", "patterns", "extractors", "sync", "migrations", "vian")
 DISK_FREE_MIB_MIN = 500
-
-
-class Verdict(StrEnum):
-    """How a check came out."""
-
-    OK = "ok"
-    NOTE = "note"
-    """worth knowing; nothing to do now"""
-    BAD = "bad"
-
-
-@dataclass(frozen=True, slots=True)
-class Finding:
-    """What one check found."""
-
-    check: str
-    verdict: Verdict
-    text: str
 
 
 def examine(settings: Settings, open_existing: Callable[[], Log], *, is_embedded: bool) -> Iterator[Finding]:
@@ -146,12 +127,9 @@ def _log(open_existing: Callable[[], Log]) -> Iterator[Finding]:
 
 def _log_found(open_existing: Callable[[], Log]) -> Iterator[Finding]:
     with open_existing() as log:
-        head = log.head()
-        yield Finding("log", Verdict.OK, f"{len(log.streams())} streams, {head} segments, epoch {log.epoch}")
-        lag = head - log.checkpoint(PROJECTOR).position
-        verdict = Verdict.OK if lag == 0 else Verdict.NOTE
-        next_step = "" if lag == 0 else ". Next: vian project, or keep vian serve running"
-        yield Finding("row tables", verdict, f"{lag} segments behind the log{next_step}")
+        yield Finding("log", Verdict.OK, f"{len(log.streams())} streams, {log.head()} segments, epoch {log.epoch}")
+        data_dir = log.server.data_dir if log.server is not None else None
+        yield from check_log(log, shutil.disk_usage(data_dir).free if data_dir is not None else None)
         yield from _archive(log)
         yield Finding("psql", Verdict.NOTE, _psql(log))
 

@@ -172,7 +172,7 @@ class _Run:
 
     def whole(self) -> Extraction:
         """Extract to the end of the video."""
-        first_track_id = 1 + self._resume_all()
+        first_track_id = 1 + self._events_of_earlier_epochs(self._job.stream(TrackPoint)) + self._resume_all()
         steps = motion.extract(
             video.frames(self._job.path),
             self._job.config,
@@ -234,6 +234,11 @@ class _Run:
         for head in heads.values():
             self._appender.resume_at(head.stream, head.sequence)
         return heads[TrackPoint].sequence
+
+    def _events_of_earlier_epochs(self, stream: StreamName) -> int:
+        """How many events the stream had before the log was last restored: they stay, and their tracks too."""
+        log = self._job.log
+        return sum(head.sequence for head in log.streams() if head.stream == stream and head.epoch < log.epoch)
 
     def _state(self) -> dict[str, Any]:
         return {

@@ -1,0 +1,1 @@
+"""What any implementation of the log holds, whatever it rests on."""

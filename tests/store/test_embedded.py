@@ -12,9 +12,9 @@ import pytest
 
 from store import BadRequest, Log, LogUnavailable, WrongMajor, open_log, verify
 from store.embedded import MAJOR, EmbeddedServer
+from tests.contracts.writers import open_append_and_wait, started
 from tests.store.samples import GATE, append
 from tests.store.servers import kill_server
-from tests.store.writers import open_append_and_wait, started
 
 ROOT = Path(__file__).parents[2]
 
@@ -41,7 +41,9 @@ def test_the_directory_of_another_major_is_refused_and_left_alone(data_dir: Path
     pgdata = data_dir / "pg"
     pgdata.mkdir(parents=True)
     (pgdata / "PG_VERSION").write_text("15\n")
-    with pytest.raises(WrongMajor, match=f"made by PostgreSQL 15, this ViAn runs PostgreSQL {MAJOR}. Next: dump it"):
+    with pytest.raises(
+        WrongMajor, match=f"by PostgreSQL 15, this ViAn runs PostgreSQL {MAJOR}. Next: run its own Postg"
+    ):
         open_log(data_dir=data_dir)
     assert [path.name for path in pgdata.iterdir()] == ["PG_VERSION"]
 
@@ -146,6 +148,15 @@ def test_killed_processes_are_forgotten_so_that_the_last_one_stops_the_server(da
         users = json.loads((data_dir / "pg" / ".handle_pids.json").read_text())
         assert users == [os.getpid()]
         assert log.head() == 1
+    assert not is_running(data_dir)
+
+
+def test_the_last_living_user_stops_the_server_though_another_was_killed_meanwhile(data_dir: Path) -> None:
+    log = open_log(data_dir=data_dir)
+    with started(open_append_and_wait, str(data_dir), "gate") as other:
+        other.wait_until_ready()
+        other.kill()
+        log.close()
     assert not is_running(data_dir)
 
 

@@ -1,9 +1,5 @@
 """The database dies, stops or fills its disk while it is appended to: nothing is lost, nothing is doubled."""
 
-import os
-import shutil
-import subprocess
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +9,7 @@ import pytest
 from events import Catalogue, EventBatch, StreamName, TrackPoint, decode, schema_of
 from store import Appender, Log, LogUnavailable, Projector, Subscription, open_log, verify
 from store.embedded import EmbeddedServer
+from tests.store.disks import fill
 from tests.store.samples import GATE, NOON, PRODUCER, YARD, owner, points, query
 from tests.store.servers import kill_server
 
@@ -105,34 +102,6 @@ def test_an_external_database_that_stops_and_is_back_is_waited_for(data_dir: Pat
     elsewhere.close()
 
 
-@pytest.fixture
-def small_disk(public_folder: Path) -> Iterator[Path]:
-    """A file system of 160 MiB in memory."""
-    folder = public_folder / "small-disk"
-    folder.mkdir()
-    mounted = os.geteuid() == 0 and shutil.which("mount") is not None
-    if mounted:
-        mounting = subprocess.run(
-            ["mount", "-t", "tmpfs", "-o", "size=160m,mode=755", "tmpfs", folder], capture_output=True, check=False
-        )
-        mounted = mounting.returncode == 0
-    if not mounted:
-        folder.rmdir()
-        pytest.skip("a file system of limited size can be mounted by root only, and not in every container")
-    yield folder
-    subprocess.run(["umount", folder], check=True)
-    folder.rmdir()
-
-
-def fill(folder: Path, leave_mib: float) -> Path:
-    """A file that takes up the room of the folder's disk but for so much."""
-    ballast = folder / "ballast"
-    size = shutil.disk_usage(folder).free - int(leave_mib * 2**20)
-    with ballast.open("wb") as file:
-        os.posix_fallocate(file.fileno(), 0, size)
-    return ballast
-
-
 def test_a_new_log_on_a_full_disk_is_refused_and_succeeds_when_there_is_room(small_disk: Path) -> None:
     ballast = fill(small_disk, leave_mib=8)
     with pytest.raises(LogUnavailable, match=r"cannot be made in .*No space left on device.* MiB free on that disk"):
@@ -141,6 +110,18 @@ def test_a_new_log_on_a_full_disk_is_refused_and_succeeds_when_there_is_room(sma
     ballast.unlink()
     with open_log(data_dir=small_disk / "log") as log:
         assert log.head() == 0
+
+
+def test_a_server_that_died_on_a_full_disk_is_told_of_with_the_room_left(small_disk: Path) -> None:
+    with open_log(data_dir=small_disk / "log") as log:
+        ballast = fill(small_disk, leave_mib=3)
+        kill_server(small_disk / "log")
+        with pytest.raises(
+            LogUnavailable, match=r"its disk is full \([23] MiB free, .*Next: make room; what waits goes on"
+        ):
+            log.head()
+        ballast.unlink()
+        assert log.with_retry(log.head) == 0
 
 
 def test_a_disk_that_fills_while_events_come_is_waited_for_until_there_is_room(small_disk: Path) -> None:

@@ -136,6 +136,18 @@ def test_up_down_and_up_again_give_the_same(empty: str) -> None:
     assert differences(empty) == []
 
 
+@on_both
+def test_every_function_that_runs_as_the_owner_looks_for_temporary_tables_last(log: Log) -> None:
+    found = query(
+        log, "select proname, proconfig from pg_proc where prosecdef and pronamespace = 'public'::regnamespace"
+    )
+    assert found
+    for name, settings in found:
+        path = next(each for each in settings or () if each.startswith("search_path="))
+        assert path.endswith(", pg_temp"), (name, path)
+        assert path.count("pg_temp") == 1, (name, path)
+
+
 def test_a_log_that_held_events_and_plug_ins_can_be_taken_down_and_put_up(empty: str) -> None:
     with open_log(dsn=empty, catalogue=Catalogue([*SHIPPED, Ping])) as log:
         append(log, GATE, 2)

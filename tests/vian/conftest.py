@@ -12,6 +12,7 @@ import structlog
 from typer.testing import CliRunner
 
 from extractors import video
+from tests.conftest import Server
 from tests.vian.clips import write_clip
 from vian.cli import app
 
@@ -68,6 +69,17 @@ def run() -> Run:
         return Ran(result.exit_code, result.stdout, result.stderr)
 
     return invoke
+
+
+@pytest.fixture
+def durable(server: Server) -> Iterator[None]:
+    """The server as it is set up outside of tests: what is committed survives a power cut."""
+    names = ("fsync", "full_page_writes", "autovacuum")
+    server.execute(*(f"alter system set {name} = on" for name in names), "select pg_reload_conf()")
+    server.wait_for(dict.fromkeys(names, "on"))
+    yield
+    server.execute(*(f"alter system set {name} = off" for name in names), "select pg_reload_conf()")
+    server.wait_for(dict.fromkeys(names, "off"))
 
 
 @pytest.fixture(scope="session")

@@ -37,6 +37,7 @@ READERS = [
     ["query", "select 1"],
     ["verify"],
     ["evidence", "export", "--situation", "3f9c2a71"],
+    ["backup", "elsewhere"],
     ["project"],
     ["psql"],
     ["sync", "--once", "--central", "http://x", "--token-file", "token"],
@@ -45,10 +46,10 @@ READERS = [
 
 def test_the_commands_are_those_that_there_should_be() -> None:
     assert {" ".join(path) for path in ALL} == {
-        "archive", "archive project", "archive relocate", "archive status", "demo", "doctor", "events",
+        "archive", "archive project", "archive relocate", "archive status", "backup", "demo", "doctor", "events",
         "evidence export", "evidence verify", "extract motion", "init", "project", "project maintain",
-        "project rebuild", "project status", "psql", "query", "rules check", "rules run", "serve", "sign",
-        "station add", "streams", "sync", "tail", "verify",
+        "project rebuild", "project status", "psql", "query", "restore", "rules check", "rules run", "serve", "sign",
+        "station add", "streams", "sync", "tail", "upgrade", "verify",
     }  # fmt: skip
 
 
@@ -112,7 +113,7 @@ def test_a_data_directory_of_another_major_is_told_and_not_touched(run: Run, pub
     (data_dir / "pg" / "PG_VERSION").write_text("14\n")
     ran = run("streams", "--data-dir", data_dir)
     assert (ran.code, ran.out) == (1, "")
-    assert "was made by PostgreSQL 14, this ViAn runs PostgreSQL 18. Next: dump it with" in ran.words
+    assert "was made by PostgreSQL 14, this ViAn runs PostgreSQL 18. Next: run its own PostgreSQL 14" in ran.words
     assert [path.name for path in (data_dir / "pg").iterdir()] == ["PG_VERSION"]
     found = run("doctor", "--data-dir", data_dir)
     assert found.code == 1

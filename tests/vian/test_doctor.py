@@ -1,3 +1,4 @@
+import re
 from collections.abc import Callable
 from importlib.metadata import PackagePath
 from pathlib import Path
@@ -9,7 +10,8 @@ import pytest
 from store import Log, LogUnavailable, Projector, make_key
 from tests.vian.samples import append, points, reopened
 from vian import doctor
-from vian.doctor import Verdict, examine
+from vian.doctor import examine
+from vian.findings import Verdict
 from vian.settings import load_settings
 
 
@@ -34,9 +36,10 @@ def test_a_log_is_described_and_its_lag(log: Log) -> None:
     append(log, points(3))
     found = findings(lambda: reopened(log), dsn=log.dsn)
     assert found["log"] == (Verdict.OK, "1 streams, 1 segments, epoch 1")
-    assert found["row tables"] == (
-        Verdict.NOTE,
-        "1 segments behind the log. Next: vian project, or keep vian serve running",
+    verdict, text = found["row tables"]
+    assert verdict is Verdict.NOTE
+    assert re.fullmatch(
+        r"1 segments behind the log \(since 20.* UTC\)\. Next: vian project, or keep vian serve running", text
     )
     Projector(log).catch_up()
     assert findings(lambda: reopened(log), dsn=log.dsn)["row tables"] == (Verdict.OK, "0 segments behind the log")

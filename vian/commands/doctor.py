@@ -3,8 +3,9 @@
 import typer
 
 from vian import options
-from vian.doctor import Verdict, examine
+from vian.doctor import examine
 from vian.errors import WorldFailed
+from vian.findings import Verdict
 from vian.options import open_from, settings_for
 from vian.output import Output
 

@@ -86,6 +86,7 @@ def test_logs_that_do_not_agree_are_an_error(
     assert "the two logs do not verify or do not agree. Next: vian verify" in ran.words
 
 
+@pytest.mark.usefixtures("durable")
 def test_doctor_finds_all_well(log: Log, run: Run) -> None:
     ran = run("doctor", "--dsn", log.dsn)
     assert ran.code == 0

@@ -1,17 +1,15 @@
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack
+"""Reads: in order, filtered, limited, and taken up again at any place."""
+
 from datetime import datetime, timedelta
-from pathlib import Path
 from typing import Any
 
 import pytest
 
-from events import Segment, StreamName
-from store import BadRequest, Log, LogUnavailable, open_log
+from events import Segment
+from store import BadRequest, Log
 from store import log as log_module
 from store.reading import Filter
-from tests.store.samples import GATE, NOON, YARD, append, draft, draft_of, on_both, point, query
+from tests.store.samples import GATE, NOON, ONE_OF_EACH, YARD, append, draft, draft_of, point
 
 
 @pytest.fixture(autouse=True)
@@ -23,7 +21,6 @@ def ranges(segments: list[Segment]) -> list[tuple[int, int]]:
     return [(segment.header.first_sequence, segment.header.last_sequence) for segment in segments]
 
 
-@on_both
 def test_a_stream_is_read_in_order_over_many_pages(log: Log) -> None:
     append(log, GATE, 1, 2, 3)
     append(log, YARD, 9)
@@ -31,7 +28,6 @@ def test_a_stream_is_read_in_order_over_many_pages(log: Log) -> None:
     assert ranges(list(log.read(GATE))) == [(1, 1), (2, 3), (4, 6), (7, 7), (8, 8)]
 
 
-@on_both
 def test_a_stream_is_read_from_the_segment_that_holds_the_sequence(log: Log) -> None:
     append(log, GATE, 3, 3)
     both, second = [(1, 3), (4, 6)], [(4, 6)]
@@ -39,7 +35,6 @@ def test_a_stream_is_read_from_the_segment_that_holds_the_sequence(log: Log) -> 
         assert ranges(list(log.read(GATE, from_sequence))) == wanted
 
 
-@on_both
 def test_a_page_that_is_just_full_is_followed_by_the_end(log: Log) -> None:
     append(log, GATE, 1, 1)
     assert len(list(log.read(GATE))) == 2
@@ -94,13 +89,43 @@ CHOICES: list[tuple[dict[str, Any], list[int]]] = [
     ({"until": NOON + timedelta(hours=2)}, [1, 2]),
     ({"since": NOON + timedelta(hours=1), "until": NOON + timedelta(hours=4)}, [2, 3, 4]),
     ({"stations": ["brno"], "sources": ["gate"], "since": NOON + timedelta(hours=1)}, [6]),
+    ({"stations": ["brno", "plzen"], "sources": ["roof"], "from_position": 5}, [5]),
+    ({"sources": ["nowhere"]}, []),
 ]
 
 
-@on_both
 def test_a_read_lets_through_what_every_filter_lets_through(mixed: Log) -> None:
     for chosen, wanted in CHOICES:
         assert [segment.position for segment in mixed.read_all(**chosen)] == wanted, chosen
+
+
+def test_a_read_that_is_taken_up_again_at_any_position_misses_and_doubles_nothing(mixed: Log) -> None:
+    for chosen, wanted in CHOICES:
+        if "to_position" in chosen:
+            continue
+        for stop in range(chosen.get("from_position", 1), 7):
+            begun = [segment.position for segment in mixed.read_all(**chosen, to_position=stop)]
+            resumed = [segment.position for segment in mixed.read_all(**{**chosen, "from_position": stop + 1})]
+            assert begun + resumed == wanted, (chosen, stop)
+
+
+def test_a_read_by_type_finds_each_type_alone_and_several_together(log: Log) -> None:
+    log.append([draft_of(event) for event in ONE_OF_EACH])
+    names = [type(event).type_name for event in ONE_OF_EACH]
+    for position, name in enumerate(names, 1):
+        (segment,) = log.read_all(types=[name])
+        assert (segment.position, segment.stream.type) == (position, name)
+    assert [s.stream.type for s in log.read_all(types=[names[3], names[0]])] == [names[0], names[3]]
+
+
+def test_a_page_of_any_limit_is_followed_by_the_rest(mixed: Log) -> None:
+    chosen = Filter(stations=["brno"])
+    for limit in range(1, 6):
+        positions: list[int] = []
+        while page := mixed.page(positions[-1] + 1 if positions else 1, 6, chosen, limit):
+            assert len(page) <= limit
+            positions += [segment.position for segment in page]
+        assert positions == [1, 2, 4, 6]
 
 
 def test_a_segment_is_wanted_if_any_of_its_events_is_in_time(log: Log) -> None:
@@ -152,84 +177,3 @@ def test_checkpoints_are_kept_by_name(log: Log) -> None:
         "other": (2, b""),
     }
     assert log.checkpoint("rules").position == 5
-
-
-@on_both
-def test_connections_that_died_with_the_server_are_replaced_at_once(log: Log) -> None:
-    with ExitStack() as held:
-        for _ in range(log_module.CONNECTIONS_MAX):
-            held.enter_context(log.connection())
-    query(
-        log,
-        "select pg_terminate_backend(pid, 10000) from pg_stat_activity "
-        "where datname = current_database() and pid <> pg_backend_pid()",
-    )
-    assert log.head() == 0
-
-
-def test_a_query_whose_connection_dies_under_it_is_an_outage(log: Log) -> None:
-    def lose_the_connection() -> None:
-        with log.connection() as connection:
-            query(log, "select pg_terminate_backend(%s, 10000)", connection.info.backend_pid)
-            connection.execute("select 1")
-
-    with pytest.raises(LogUnavailable, match="is away"):
-        lose_the_connection()
-
-
-def test_an_interrupt_in_the_middle_of_a_command_leaves_a_log_that_works(
-    log: Log, caplog: pytest.LogCaptureFixture
-) -> None:
-    def be_interrupted() -> None:
-        with log.connection() as connection:
-            connection.pgconn.send_query(b"select pg_sleep(60)")
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        be_interrupted()
-    assert [record for record in caplog.records if record.name == "psycopg"] == []
-    assert log.head() == 0
-
-
-def test_more_users_than_connections_wait_for_their_turn(log: Log) -> None:
-    append(log, GATE, 1)
-    with ThreadPoolExecutor(3 * log_module.CONNECTIONS_MAX) as pool:
-        heads = list(pool.map(lambda _: log.head(), range(200)))
-    assert set(heads) == {1}
-
-
-def test_a_log_whose_connections_are_all_held_says_so(
-    make_log: Callable[[], Log], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(log_module, "_CONNECT_SECONDS", 2.0)
-    monkeypatch.setattr(log_module, "_PATIENCE_SECONDS", 0.1)
-    monkeypatch.setattr(log_module, "CONNECTIONS_MAX", 1)
-    log = make_log()
-    with log.connection(), pytest.raises(LogUnavailable, match=r"all 1 connections to .* were busy for 2 s"):
-        log.head()
-    assert log.head() == 0
-
-
-def test_an_action_is_tried_again_once_after_an_outage(log: Log) -> None:
-    outcomes = iter([LogUnavailable("away"), None])
-
-    def action() -> str:
-        if (outcome := next(outcomes)) is not None:
-            raise outcome
-        return "done"
-
-    assert log.with_retry(action) == "done"
-
-
-@pytest.mark.parametrize("given", [{}, {"data_dir": Path("x"), "dsn": "postgresql://h/d"}])
-def test_a_log_is_opened_by_folder_or_by_address(given: dict[str, object]) -> None:
-    with pytest.raises(BadRequest, match="takes either data_dir or dsn, got " + ("both" if given else "neither")):
-        open_log(**given)  # type: ignore[arg-type]
-
-
-def test_a_log_is_its_own_context(log: Log) -> None:
-    with open_log(dsn=log.dsn) as second:
-        append(second, StreamName.of("brno", "roof", "track_point"), 1)
-    assert log.head() == 1
-    with pytest.raises(LogUnavailable, match="closed"):
-        second.head()

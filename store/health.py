@@ -1,0 +1,210 @@
+"""Facts about the log's database: its settings, its clock, its growth, its schema.
+
+Contract: looks, and changes nothing. Whether a fact is good or bad is for the caller to say.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+
+import psycopg
+from alembic.script import ScriptDirectory
+
+from events import Catalogue
+from store.errors import LogUnavailable
+from store.log import Log
+from store.schema import configuration, safe_dsn
+
+SETTINGS = (
+    "autovacuum",
+    "default_transaction_read_only",
+    "fsync",
+    "full_page_writes",
+    "ignore_checksum_failure",
+    "max_connections",
+    "max_wal_size",
+    "server_encoding",
+    "statement_timeout",
+    "synchronous_commit",
+    "TimeZone",
+    "zero_damaged_pages",
+)
+_CONNECT_SECONDS = 15
+_SAMPLE = 2_000
+"""Segments of which the payloads are measured, where there are more."""
+
+
+@dataclass(frozen=True, slots=True)
+class Clock:
+    """What the database's clock says, and the log."""
+
+    now: datetime
+    newest: datetime | None
+    """newest recorded_at; None in an empty log"""
+
+
+@dataclass(frozen=True, slots=True)
+class Growth:
+    """How much the log grew, measured over its times of recording."""
+
+    bytes: int
+    """size of the log's database"""
+    bytes_log: int
+    """the part of it that segments take, indexes included"""
+    over: timedelta
+    """how long the log was watched: up to the window asked for, less if it is younger"""
+    bytes_per_day: float
+
+
+@dataclass(frozen=True, slots=True)
+class Schema:
+    """Which schema a database has, and which this program brings."""
+
+    server: str
+    """version of PostgreSQL"""
+    revision: str | None
+    """revision of the database; None where there is no log yet"""
+    newest: str
+    """newest revision that this program knows"""
+    is_known: bool
+    """whether this program knows the database's revision"""
+    pending: list[tuple[str, str]]
+    """revisions that an upgrade would go through, with what each does"""
+    row_tables: list[str]
+    """row tables that an upgrade would add"""
+    bytes: int
+    bytes_log: int
+
+
+def settings(log: Log) -> Mapping[str, str]:
+    """The database's settings that matter here, with their units, as they hold for a program of ours."""
+    with log.connection() as connection:
+        rows = connection.execute(
+            "select name, current_setting(name) from pg_settings where name = any(%s)", (list(SETTINGS),)
+        ).fetchall()
+        # The session's own time zone is set by us; what others get is what the server was given.
+        (zone,) = connection.execute("select reset_val from pg_settings where name = 'TimeZone'").fetchone() or ("",)
+    return {**dict(rows), "TimeZone": zone}
+
+
+def wal_bytes_max(log: Log) -> int:
+    """`max_wal_size` in bytes."""
+    return _bytes(log, "select pg_size_bytes(current_setting('max_wal_size'))")
+
+
+def clock(log: Log) -> Clock:
+    """The database's time, and that of the newest segment."""
+    with log.connection() as connection:
+        row = connection.execute(
+            "select clock_timestamp(), case when position > 0 then recorded_at end from log_head"
+        ).fetchone()
+    assert row is not None, "a log has its one row"
+    return Clock(*row)
+
+
+def recorded_at(log: Log, position: int) -> datetime | None:
+    """When the first segment from a position on was recorded; None where there is none."""
+    with log.connection() as connection:
+        row = connection.execute(
+            "select recorded_at from segments where position >= %s order by position limit 1", (position,)
+        ).fetchone()
+    return row[0] if row else None
+
+
+def growth(log: Log, window: timedelta) -> Growth | None:
+    """How much the database grew over the window before now; None in an empty log.
+
+    The segments of the window are counted by their times of recording, which never go back in order of
+    position; the database's size is shared out by their part of the payloads.
+    """
+    size, size_log = _sizes(log)
+    with log.connection() as connection:
+        ends = connection.execute("select min(position), max(position), clock_timestamp() from segments").fetchone()
+    assert ends is not None, "an aggregate has one row"
+    first, last, now = ends
+    if first is None:
+        return None
+    begun_at = recorded_at(log, first)
+    assert begun_at is not None, "the first segment is there"
+    since = max(now - window, begun_at)
+    over = max(now - since, timedelta(seconds=1))
+    recent = _payload_bytes(log, _first_since(log, since, first, last + 1), last)
+    share = recent / max(1, _payload_bytes(log, first, last))
+    return Growth(size, size_log, over, share * size / (over / timedelta(days=1)))
+
+
+def schema(dsn: str, catalogue: Catalogue) -> Schema:
+    """The schema of the database at an address, which is not migrated by looking.
+
+    Raises:
+        LogUnavailable: The database cannot be reached, or the account may not look.
+    """
+    script = ScriptDirectory.from_config(configuration())
+    newest = script.get_current_head()
+    assert newest is not None, "there are migrations"
+    try:
+        with psycopg.connect(dsn, autocommit=True, connect_timeout=_CONNECT_SECONDS) as connection:
+            server = connection.execute("show server_version").fetchone() or ("unknown",)
+            is_ours = connection.execute("select to_regclass('alembic_version') is not null").fetchone() == (True,)
+            row = connection.execute("select version_num from alembic_version").fetchone() if is_ours else None
+            known = connection.execute("select name from projections").fetchall() if row else []
+            sizes = connection.execute(
+                "select pg_database_size(current_database()), "
+                "coalesce(pg_total_relation_size(to_regclass('segments')), 0)"
+            ).fetchone() or (0, 0)
+    except psycopg.Error as error:
+        raise LogUnavailable(f"the database at {safe_dsn(dsn)} cannot be examined: {error}".strip()) from error
+    revision = row[0] if row else None
+    revisions = {each.revision: each for each in script.walk_revisions()}
+    is_known = revision is None or revision in revisions
+    pending = [
+        (each.revision, each.doc)
+        for each in (script.iterate_revisions(newest, revision or "base") if is_known else ())
+        if each.revision != revision
+    ]
+    names = {name for (name,) in known}
+    missing = sorted(str(each.type_name) for each in catalogue if each.type_name not in names)
+    return Schema(server[0], revision, newest, is_known, pending[::-1], missing, *sizes)
+
+
+def _sizes(log: Log) -> tuple[int, int]:
+    return (
+        _bytes(log, "select pg_database_size(current_database())"),
+        _bytes(log, "select pg_total_relation_size('segments')"),
+    )
+
+
+def _bytes(log: Log, statement: str) -> int:
+    with log.connection() as connection:
+        row = connection.execute(statement).fetchone()
+    assert row is not None, "a size is one row"
+    return int(row[0])
+
+
+def _first_since(log: Log, since: datetime, first: int, end: int) -> int:
+    """The first position recorded at or after a time, by bisection: times follow positions."""
+    while first < end:
+        middle = (first + end) // 2
+        at = recorded_at(log, middle)
+        if at is not None and at < since:
+            first = middle + 1
+        else:
+            end = middle
+    return first
+
+
+def _payload_bytes(log: Log, first: int, last: int) -> float:
+    """Bytes of payload between two positions: of all where they are few, else of an even sample."""
+    count = last - first + 1
+    if count <= 0:
+        return 0.0
+    step = max(1, count // _SAMPLE)
+    with log.connection() as connection:
+        row = connection.execute(
+            "select count(*), coalesce(sum(octet_length(payload)), 0) from segments "
+            "where position in (select generate_series(%s::bigint, %s::bigint, %s::bigint))",
+            (first, last, step),
+        ).fetchone()
+    assert row is not None, "an aggregate has one row"
+    sampled, size = row
+    return float(size / max(1, sampled) * count)
