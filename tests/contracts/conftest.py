@@ -6,12 +6,15 @@ the server that it rests on and what is made of a fresh log before the test gets
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import count
+from pathlib import Path
 
 import pytest
 
 from events import Catalogue
 from store import Log
 from tests.conftest import MakeLog, Server, Servers
+from tests.store.tiered import tiered
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,10 +22,11 @@ class Kind:
     """A kind of log."""
 
     server: str
-    made_of: Callable[[Log], Log] = lambda log: log
+    made_of: Callable[[Log, Path], Log] = lambda log, _: log
+    """what is made of a fresh log, given a folder of its own"""
 
 
-KINDS = {"embedded": Kind("embedded"), "external 15": Kind("15")}
+KINDS = {"embedded": Kind("embedded"), "external 15": Kind("15"), "tiered": Kind("embedded", tiered)}
 
 
 @pytest.fixture(params=KINDS)
@@ -37,8 +41,10 @@ def server(servers: Servers, kind: Kind) -> Server:
 
 
 @pytest.fixture
-def make_log(make_log: MakeLog, kind: Kind) -> MakeLog:
+def make_log(make_log: MakeLog, kind: Kind, tmp_path: Path) -> MakeLog:
+    numbers = count(1)
+
     def make(catalogue: Catalogue | None = None) -> Log:
-        return kind.made_of(make_log(catalogue))
+        return kind.made_of(make_log(catalogue), tmp_path / f"archive-{next(numbers)}")
 
     return make

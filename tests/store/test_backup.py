@@ -13,7 +13,7 @@ from typing import Any
 import psycopg
 import pytest
 
-from events import Catalogue, Segment
+from events import Catalogue, CheckpointSigned, Segment
 from store import (
     BackupDamaged,
     BackupUnusable,
@@ -64,7 +64,9 @@ def reopened(dsn: str) -> Log:
 def fill(log: Log) -> None:
     """Events of every type, of two stations and an older epoch, with checkpoints, rows and a rule's output."""
     append(log, GATE, 3, 1, 2)
-    log.append([draft_of(event, station=station) for station in ("brno", "plzen") for event in ONE_OF_EACH])
+    # A checkpoint is sound only if a key signed it: tests/store/test_signing.py has real ones.
+    events = [event for event in ONE_OF_EACH if not isinstance(event, CheckpointSigned)]
+    log.append([draft_of(event, station=station) for station in ("brno", "plzen") for event in events])
     log.append([draft(YARD, 1, 2)], epochs=[0])
     projector = Projector(log)
     projector.catch_up()

@@ -15,8 +15,8 @@ from store import ArchiveUnavailable, ChainBroken, Log, LogUnavailable, StoreErr
 from store.parquet import project, waiting
 from store.sealing import Sealer, archiver, outlook
 from tests.conftest import MakeLog
+from tests.contracts.writers import started
 from tests.store.samples import GATE, YARD, append, draft, on_both, owner, query
-from tests.store.writers import started
 
 LATER = datetime.now(UTC) + timedelta(days=1)
 SMALL = 1
