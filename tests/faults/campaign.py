@@ -18,7 +18,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from datetime import datetime
@@ -31,23 +31,33 @@ from rich.progress import track
 from rich.table import Table
 
 from events import StreamName, decode
-from store import LogUnavailable, Projector, open_log, verify
+from store import Journal, LogUnavailable, Projector, SharedAppender, open_log, verify
 from tests.faults.bits import flip_many
 from tests.faults.full_disk import fill_and_free
 from tests.faults.load import (
+    JOURNAL,
     STREAMS,
+    SUBMITTED,
     Process,
     append_until_killed,
     opened,
     persistently,
     project_until_killed,
+    submit_until_killed,
 )
 from tests.faults.rivals import rounds_of_rivalry
 from tests.store.disks import small_disk
 from tests.store.samples import owner
 from tests.store.servers import postmaster
 
-KINDS = ("appender killed", "projector killed", "PostgreSQL stopped", "PostgreSQL killed", "clock set back")
+KINDS = (
+    "appender killed",
+    "shared appender killed",
+    "projector killed",
+    "PostgreSQL stopped",
+    "PostgreSQL killed",
+    "clock set back",
+)
 LOAD_SECONDS_MAX = 0.3
 """Longest load before a fault."""
 WHOLE_EVERY = 50
@@ -88,14 +98,18 @@ class Campaign:
         self._log = opened(data_dir)
         self._appender = self._started(append_until_killed)
         self._projector = self._started(project_until_killed)
+        self._shared = self._started(submit_until_killed)
         self._acknowledged: dict[StreamName, int] = dict.fromkeys(STREAMS, 0)
+        self._submitted: dict[StreamName, int] = dict.fromkeys(SUBMITTED, 0)
+        """Acknowledged by the shared appender: in the log, or in its journal."""
         self._checked = 0
-        self._heads: dict[StreamName, int] = dict.fromkeys(STREAMS, 0)
+        self._heads: dict[StreamName, int] = dict.fromkeys((*STREAMS, *SUBMITTED), 0)
         self._recorded_at: datetime | None = None
 
     def close(self) -> None:
         """End the load and the log."""
         self._appender.close()
+        self._shared.close()
         self._projector.close()
         self._log.close()
 
@@ -116,13 +130,15 @@ class Campaign:
         self._appender.kill()
         self._note(self._appender.last_words())
         self._projector.kill()
+        self._empty_journal()
         self.count()
         self.check_whole()
 
     def count(self) -> None:
         """Check what is stored, and count it."""
         self._check_new()
-        self.tally.acknowledged = sum(self._acknowledged.values())
+        self._expect_stored(self._submitted)
+        self.tally.acknowledged = sum((*self._acknowledged.values(), *self._submitted.values()))
         self.tally.stored = sum(self._heads.values())
 
     def check_whole(self) -> None:
@@ -151,6 +167,13 @@ class Campaign:
         self._note(self._appender.last_words())
         self._appender.close()
         self._appender = self._started(append_until_killed)
+
+    def kill_shared(self) -> None:
+        """SIGKILL of the process of the shared appender, with what waits in it and what its journal holds."""
+        self._shared.kill()
+        self._note_shared()
+        self._shared.close()
+        self._shared = self._started(submit_until_killed)
 
     def kill_projector(self) -> None:
         """SIGKILL of the process that projects."""
@@ -197,7 +220,10 @@ class Campaign:
                     segment.recorded_at >= self._recorded_at, f"recorded_at goes back at position {segment.position}"
                 )
             self._recorded_at = segment.recorded_at
-        for stream, acknowledged in self._acknowledged.items():
+        self._expect_stored(self._acknowledged)
+
+    def _expect_stored(self, acknowledged_by_stream: Mapping[StreamName, int]) -> None:
+        for stream, acknowledged in acknowledged_by_stream.items():
             missing = max(0, acknowledged - self._heads[stream])
             self.tally.lost += missing
             self._expect(not missing, f"{stream}: acknowledged up to {acknowledged}, stored to {self._heads[stream]}")
@@ -218,6 +244,7 @@ class Campaign:
             if self._appender.pipe.poll(left):
                 self._note([self._appender.said()])
             self._projector.last_words()
+            self._note_shared()
 
     def _hear(self, process: Process) -> None:
         """Wait until the appender acknowledges something that it began after now."""
@@ -235,6 +262,17 @@ class Campaign:
                 raise GaveUp(heads)
             self._acknowledged.update(heads)
 
+    def _note_shared(self) -> None:
+        for acknowledged in self._shared.last_words():
+            self._submitted.update(acknowledged)
+
+    def _empty_journal(self) -> None:
+        """End the shared appender as a kill does, and let the next one store what its journal holds."""
+        self._shared.kill()
+        self._note_shared()
+        with Journal(self._data_dir / JOURNAL) as journal, SharedAppender(self._log, journal=journal):
+            pass
+
     def _execute(self, statement: str) -> None:
         try:
             with owner(self._log) as connection:
@@ -248,6 +286,7 @@ _FAULTS: dict[str, Callable[[Campaign], None]] = dict(
         KINDS,
         (
             Campaign.kill_appender,
+            Campaign.kill_shared,
             Campaign.kill_projector,
             Campaign.stop_postgresql,
             Campaign.kill_postgresql,

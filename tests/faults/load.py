@@ -5,6 +5,7 @@ import os
 import random
 import signal
 import time
+from collections import deque
 from collections.abc import Callable
 from datetime import datetime, timedelta
 from multiprocessing import get_context
@@ -14,15 +15,19 @@ from typing import Any, TypeVar
 
 import pyarrow as pa
 
-from events import Catalogue, EventBatch, StreamName, TrackPoint, schema_of
-from store import Appender, Log, LogUnavailable, Projector, SequenceConflict, StoreError
+from events import Catalogue, EventBatch, StreamName, TrackPoint, events_of, schema_of
+from store import Appender, Journal, Log, LogUnavailable, Projector, SequenceConflict, SharedAppender, StoreError
 from store.embedded import EmbeddedServer
+from store.shared import Limits, Receipt
 from tests.store.samples import NOON, PRODUCER, points
 
 T = TypeVar("T")
 
 STREAMS = tuple(StreamName.of("brno", source, "track_point") for source in ("gate", "yard", "roof"))
 SHARED = StreamName.of("brno", "shared", "track_point")
+SUBMITTED = tuple(StreamName.of("brno", source, "track_point") for source in ("lobby", "door"))
+"""Streams of the shared appender."""
+JOURNAL = "journal.sqlite"
 BATCH_MAX = 5
 WAIT_S = 60.0
 """Longest wait for a process that does what it should."""
@@ -67,6 +72,41 @@ def append_until_killed(data_dir: Path, seed: int, say: Connection) -> None:
                 say.send(f"the appender gave up: {error}")
                 return
             say.send(dict(heads))
+
+
+def submit_until_killed(data_dir: Path, seed: int, say: Connection) -> None:
+    """Submit single events and batches to the shared appender with its journal, and say what is acknowledged.
+
+    Acknowledged is what is in the log or, while PostgreSQL is away, in the journal.
+    """
+    choose = random.Random(seed)
+    limits = Limits(window_s=0.01, waiting_events_max=200)
+    with (
+        opened(data_dir) as log,
+        Journal(data_dir / JOURNAL) as journal,
+        SharedAppender(log, limits=limits, journal=journal) as appender,
+    ):
+        while appender.standing().drafts_in_journal:
+            time.sleep(0.01)  # what an earlier life left comes first, and numbers go on behind it
+        heads = {stream: persistently(log, lambda s=stream: log.stream_head(s)).sequence for stream in SUBMITTED}
+        acknowledged: dict[StreamName, int] = dict(heads)
+        waiting: deque[tuple[StreamName, int, Receipt]] = deque()
+        say.send(dict(acknowledged))
+        while True:
+            stream = choose.choice(SUBMITTED)
+            first, last = heads[stream] + 1, heads[stream] + choose.choice((1, 1, 1, BATCH_MAX))
+            batch = frames(first, last, NOON + timedelta(milliseconds=first))
+            item = batch if last > first else events_of(batch)[0]
+            waiting.append((stream, last, appender.submit(stream, item, PRODUCER)))
+            heads[stream] = last
+            is_news = False
+            while waiting and (waiting[0][2].done() or len(waiting) > 100):
+                done, number, receipt = waiting.popleft()
+                receipt.result(WAIT_S)
+                acknowledged[done] = number
+                is_news = True
+            if is_news:
+                say.send(dict(acknowledged))
 
 
 def project_until_killed(data_dir: Path, _seed: int, say: Connection) -> None:
