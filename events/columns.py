@@ -53,8 +53,9 @@ class EventBatch:
         wanted = schema_of(self.type)
         if not self.data.schema.equals(wanted, check_metadata=False):
             raise InvalidEvent(f"{self.type.type_name}: {_difference(self.data.schema, wanted)}")
-        for field, column in zip(wanted, self.data.columns, strict=True):
-            _check_nulls(f"{self.type.type_name}.{field.name}", field, column)
+        for field, path, column in zip(*_checked_for_nulls(self.type), self.data.columns, strict=True):
+            if field is not None:
+                _check_nulls(path, field, column)
 
     def __len__(self) -> int:
         return int(self.data.num_rows)
@@ -69,6 +70,14 @@ class EventBatch:
 def schema_of(event_type: type[EventType]) -> pa.Schema:
     """The Arrow schema of a type: its fields in order, descriptions as metadata."""
     return pa.schema([_arrow_field(name, info) for name, info in event_type.model_fields.items()])
+
+
+@cache
+def _checked_for_nulls(event_type: type[EventType]) -> tuple[tuple[pa.Field | None, ...], tuple[str, ...]]:
+    """Of each column its field, or None where nulls are allowed and none can be inside; and its path for messages."""
+    schema = schema_of(event_type)
+    fields = tuple(None if field.nullable and not pa.types.is_list(field.type) else field for field in schema)
+    return fields, tuple(f"{event_type.type_name}.{field.name}" for field in schema)
 
 
 def batch_of(events: Sequence[E]) -> EventBatch:
@@ -159,7 +168,7 @@ def _column(event_type: type[EventType], field: pa.Field, values: list[Any]) -> 
 def _check_nulls(path: str, field: pa.Field, column: pa.Array) -> None:
     if column.null_count and not field.nullable:
         raise InvalidEvent(f"{path} must not be null, got {column.null_count} nulls")
-    if pa.types.is_list(field.type):
+    if isinstance(column, pa.ListArray):
         parts = column.flatten()
         for part, values in zip(field.type.value_type, parts.flatten(), strict=True):
             _check_nulls(f"{path}.{part.name}", part, values)

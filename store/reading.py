@@ -6,6 +6,7 @@ Contract: pure functions; a query is text with named parameters.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
+from functools import lru_cache
 from typing import Any
 
 from psycopg import DataError
@@ -145,11 +146,11 @@ def segment_of(row: Sequence[Any]) -> Segment:
     """
     station, source, type_, epoch, first, count, version, time_min, time_max, *rest = row
     producer, producer_version, configuration_hash, payload, payload_hash, chain_hash, position, recorded_at = rest
-    stream = StreamName(station, source, type_)
+    stream = _stream(station, source, type_)
     if None in (time_min, time_max, recorded_at):
         raise ChainBroken(stream, position, first, "a time of its row lies outside the years 1 to 9999")
     try:
-        said_by = Producer(producer, producer_version, configuration_hash)
+        said_by = _producer(producer, producer_version, configuration_hash)
         header = Header(stream, epoch, SequenceNumber(first), count, version, time_min, time_max, said_by)
     except EventError as error:
         raise ChainBroken(stream, position, first, f"its header does not hold: {error}") from error
@@ -158,3 +159,14 @@ def segment_of(row: Sequence[Any]) -> Segment:
 
 def _list(values: Sequence[str] | None) -> list[str] | None:
     return None if values is None else list(values)
+
+
+@lru_cache(maxsize=4096)
+def _stream(station: str, source: str, type_: str) -> StreamName:
+    """The name, made once: a log has few streams and many segments."""
+    return StreamName(station, source, type_)  # type: ignore[arg-type]
+
+
+@lru_cache(maxsize=4096)
+def _producer(name: str, version: str, configuration_hash: bytes) -> Producer:
+    return Producer(name, version, configuration_hash)
