@@ -25,6 +25,7 @@ from store.backup_files import Manifest, Restored
 from store.errors import BackupDamaged, BackupUnusable, ChainBroken, LogUnavailable
 from store.log import Log
 from store.maintenance import RESTORE_BEGAN, RESTORED, VERIFIED, note, note_on
+from store.projector import BEHIND
 from store.projector import NAME as PROJECTOR
 from store.schema import safe_dsn
 from store.verification import Verification, verify
@@ -185,7 +186,7 @@ def _fill(
     if chains.heads != held:
         raise BackupDamaged(f"{folder}: its segments do not end at the heads that its manifest names")
     for name, position, state in files.read_checkpoints(folder, manifest.checkpoints) if manifest.checkpoints else ():
-        if name != PROJECTOR and not name.startswith(f"{PROJECTOR}/"):
+        if name != PROJECTOR and not name.startswith(BEHIND):
             connection.execute(
                 "insert into checkpoints (name, position, state) values (%s, %s, %s)", (name, position, state)
             )

@@ -32,6 +32,7 @@ from store import (
     verify,
     verify_restored,
 )
+from store.projector import BEHIND, NAME
 from tests.conftest import MakeLog, Server, Servers
 from tests.store.samples import GATE, ONE_OF_EACH, YARD, append, draft, draft_of, on_both, owner, query
 
@@ -151,6 +152,23 @@ def test_rows_are_made_again_and_subscribers_go_on_where_they_stood(log: Log, fo
         with Subscription(other, "rule/dwell/1") as subscription:
             assert subscription.state == b"\0open state"
             assert [segment.position for segment in subscription.poll().segments] == [log.head()]
+
+
+def test_a_type_whose_rows_were_being_made_anew_at_the_backup_has_all_of_them_after_the_restore(
+    log: Log, folder: Path, target: Target
+) -> None:
+    append(log, GATE, 1, 2)
+    with log.transaction() as transaction:
+        transaction.save_checkpoint(f"{BEHIND}track_point", 1)
+        transaction.save_checkpoint(NAME, 2)
+    back_up(log, folder)
+    dsn = target()
+    restore(dsn, folder)
+    with reopened(dsn) as other:
+        projector = Projector(other)
+        projector.catch_up()
+        projector.close()
+        assert query(other, "select frame from track_point order by 1") == [(1,), (2,), (3,)]
 
 
 def test_times_of_recording_go_on_behind_those_of_the_backup(log: Log, folder: Path, target: Target) -> None:
