@@ -140,7 +140,9 @@ def _check_alone(connection: psycopg.Connection[Any]) -> None:
     while True:
         others = connection.execute(
             "select count(*) from pg_stat_activity where datname = current_database() "
-            "and pid <> pg_backend_pid() and backend_type = 'client backend'"
+            "and pid <> pg_backend_pid() and usesysid is not null "
+            # An owner who is no superuser is not told of what kind another's session is.
+            "and coalesce(backend_type, 'client backend') = 'client backend'"
         ).fetchone()
         assert others is not None, "a count has one row"
         if not others[0]:

@@ -320,6 +320,22 @@ def test_a_log_that_somebody_uses_is_not_restored_into(
         assert other.head() == 0
 
 
+@on_both
+def test_an_owner_who_is_no_superuser_sees_that_somebody_uses_the_log(
+    log: Log, folder: Path, target: Target, server: Server, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(restoring, "_GONE_SECONDS", 0.0)
+    append(log, GATE, 1)
+    back_up(log, folder)
+    dsn = target()
+    server.execute("create role plain login")
+    try:
+        with reopened(dsn), pytest.raises(BackupUnusable, match="in use: 1 other connections"):
+            restore(psycopg.conninfo.make_conninfo(dsn, user="plain"), folder)
+    finally:
+        server.execute("drop role plain")
+
+
 def test_who_opens_the_log_during_a_restore_learns_the_new_epoch(log: Log, folder: Path, target: Target) -> None:
     append(log, GATE, 1)
     back_up(log, folder)
