@@ -376,7 +376,7 @@ def _plain(value: Any) -> Any:
 def _deployed(log: Log, stream: StreamName) -> dict[tuple[str, int], str]:
     """Hashes of the rules that were deployed, by name and version."""
     found = {}
-    for segment in log.read(stream):
+    for segment in log.read_lives(stream):
         for event in events_of(decode(segment, log.catalogue)):
             assert isinstance(event, RuleDeployed)
             found[event.rule, event.rule_version] = event.rule_hash

@@ -53,7 +53,10 @@ class Appender:
         self._stored: dict[StreamName, int] = {}
 
     def resume_at(self, stream: StreamName, sequence: int) -> None:
-        """The next batch of the stream begins behind `sequence`, though the log may hold more of it."""
+        """The next batch of the stream begins behind `sequence`, though the log may hold more of it.
+
+        Below 0 it begins in an earlier life of the stream, so many events before that life's end.
+        """
         self._heads[stream] = sequence
         self._stored.pop(stream, None)
 

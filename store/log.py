@@ -288,6 +288,15 @@ class Log:
         check_not_negative(f"{stream}: from_sequence", from_sequence)
         return self._read(stream, from_sequence, epoch)
 
+    def read_lives(self, stream: StreamName) -> Iterator[Segment]:
+        """The segments of every life of the stream, the oldest life first, each in order.
+
+        Raises:
+            ChainBroken: A stored segment is one that no log can hold; `vian verify` tells more.
+        """
+        for life in self.lives(stream):
+            yield from self.read(stream, epoch=life.epoch)
+
     def _read(self, stream: StreamName, at: int, epoch: int | None) -> Iterator[Segment]:
         while True:
             segments = self._segments(*stream_query(stream, epoch, at, READ_SEGMENTS))
@@ -392,6 +401,10 @@ class Log:
     def streams(self) -> list[StreamHead]:
         """The heads of all streams, by name."""
         return self.heads()[1]
+
+    def lives(self, stream: StreamName) -> list[StreamHead]:
+        """Where each life of the stream stands that holds events, oldest first: a restored log has several."""
+        return [head for head in self.streams() if head.stream == stream and head.sequence]
 
     def heads(self) -> tuple[int, list[StreamHead]]:
         """The log's head and those of all streams by name, as they stood at one moment."""

@@ -172,7 +172,7 @@ class _Run:
 
     def whole(self) -> Extraction:
         """Extract to the end of the video."""
-        first_track_id = 1 + self._events_of_earlier_epochs(self._job.stream(TrackPoint)) + self._resume_all()
+        first_track_id = 1 + self._resume_all()
         steps = motion.extract(
             video.frames(self._job.path),
             self._job.config,
@@ -225,20 +225,22 @@ class _Run:
         self._append([batch_of([event])])
 
     def _resume_all(self) -> int:
-        """Let each stream go on from where it stood when the process started; the sequence of the track points."""
+        """Let each stream go on from where it stood when the process started; how many track points there were."""
         # All at once, before the first frame: later the database may be away, and only appends wait for it.
-        heads = {
-            event_type: self._job.log.stream_head(self._job.stream(event_type), at_position=self._at_start)
-            for event_type in _SAID_BY_A_PROCESS
-        }
-        for head in heads.values():
-            self._appender.resume_at(head.stream, head.sequence)
-        return heads[TrackPoint].sequence
+        return {event_type: self._resume(event_type) for event_type in _SAID_BY_A_PROCESS}[TrackPoint]
 
-    def _events_of_earlier_epochs(self, stream: StreamName) -> int:
-        """How many events the stream had before the log was last restored: they stay, and their tracks too."""
-        log = self._job.log
-        return sum(head.sequence for head in log.streams() if head.stream == stream and head.epoch < log.epoch)
+    def _resume(self, event_type: type[EventType]) -> int:
+        """Let a stream go on from where it stood when the process started; how many events all its lives had."""
+        log, stream = self._job.log, self._job.stream(event_type)
+        here = log.stream_head(stream, at_position=self._at_start).sequence
+        at_start, said = here, 0
+        for life in log.lives(stream):
+            if life.epoch < log.epoch:
+                # What was said before the log was restored stays: the process goes on behind it.
+                then = log.stream_head(stream, epoch=life.epoch, at_position=self._at_start).sequence
+                at_start, said = at_start + then, said + life.sequence - then
+        self._appender.resume_at(stream, here - said)
+        return at_start
 
     def _state(self) -> dict[str, Any]:
         return {
@@ -362,7 +364,7 @@ def _newest(job: Job, event_type: type[E]) -> E | None:
 
 def _said(job: Job, event_type: type[E]) -> Iterator[tuple[E, int]]:
     """The source's events of a type, with their positions."""
-    for segment in job.log.read(job.stream(event_type)):
+    for segment in job.log.read_lives(job.stream(event_type)):
         for event in events_of(decode(segment, job.log.catalogue)):
             assert isinstance(event, event_type), "a stream holds one type"
             yield event, segment.position

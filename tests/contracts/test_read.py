@@ -54,6 +54,13 @@ def test_a_streams_newest_life_is_read_unless_another_is_asked_for(log: Log) -> 
     assert [segment.header.epoch for segment in log.read(GATE, epoch=1)] == [1]
 
 
+def test_every_life_of_a_stream_is_read_oldest_first(log: Log) -> None:
+    log.append([draft(GATE, first, first) for first in range(1, 6)], epochs=[2] * 5)
+    log.append([draft(GATE, 1, 1), draft(YARD, 1, 1)], epochs=[1, 3])
+    assert [segment.header.epoch for segment in log.read_lives(GATE)] == [1, 2, 2, 2, 2, 2]
+    assert [(life.epoch, life.sequence) for life in log.lives(GATE)] == [(1, 1), (2, 5)]
+
+
 def test_a_new_life_that_begins_during_a_read_does_not_break_into_it(log: Log) -> None:
     log.append([draft(GATE, first, first) for first in range(1, 6)], epochs=[1] * 5)
     reading = log.read(GATE)

@@ -5,6 +5,7 @@ import logging
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
+import psycopg
 import pytest
 
 from events import (
@@ -314,6 +315,20 @@ def test_a_rule_is_deployed_once_for_each_version(make_log: MakeLog) -> None:
     assert deploy(log, STATION, [first], texts, T0) == []
     assert deploy(log, STATION, [second], texts, T0) == [second]
     assert log.stream_head(StreamName.of(STATION, "rules", "rule_deployed")).sequence == 2
+
+
+def test_rules_that_were_deployed_before_a_restore_are_deployed_still(make_log: MakeLog) -> None:
+    log = make_log()
+    first, second = rule(), rule("leaves")
+    deploy(log, STATION, [first], {"enters": "the file"}, T0)
+    with psycopg.connect(log.dsn) as owner:
+        owner.execute("update log_head set epoch = 2")
+    with Log(log.dsn, log.catalogue) as restored:
+        texts = {"enters": "the file", "leaves": "another"}
+        assert deploy(restored, STATION, [second], texts, T0) == [second]
+        assert deploy(restored, STATION, [first, second], texts, T0) == []
+        with pytest.raises(PatternError, match="enters version 1 is deployed with another content"):
+            deploy(restored, STATION, [rule(measures="inside.x AS x")], texts, T0)
 
 
 def test_a_deployed_version_cannot_change(make_log: MakeLog) -> None:

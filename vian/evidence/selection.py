@@ -221,7 +221,7 @@ def _want_rule(log: Log, selection: Selection, situation: SituationDetected) -> 
 
 
 def _all(log: Log, stream: StreamName) -> Iterator[Found]:
-    for segment in log.read(stream):
+    for segment in log.read_lives(stream):
         yield from _events(log, segment)
 
 
