@@ -38,6 +38,15 @@ def export_evidence(
     end: Annotated[
         str | None, typer.Option("--to", help="To this sequence, inclusive, or before this time (ISO 8601, UTC).")
     ] = None,
+    epoch: Annotated[
+        int | None,
+        typer.Option(
+            "--epoch",
+            min=0,
+            help="Only this life of the stream: a log that was restored has several.",
+            show_default="all",
+        ),
+    ] = None,
     out: Annotated[
         Path | None, typer.Option("--out", help="Directory to write.", show_default="evidence-... here")
     ] = None,
@@ -55,7 +64,7 @@ def export_evidence(
     settings = settings_for(data_dir, dsn, station=station, key_file=key_file)
     output = Output(is_json=as_json)
     with opened(settings, data_dir=data_dir) as log:
-        selection = _selection(log, situation, stream, begin, end)
+        selection = _selection(log, situation, stream, begin, end, epoch)
         source = _source(log, settings, selection, by or f"{getpass.getuser()} at {socket.gethostname()}", why, output)
         with output.progress("streams", len(selection.wanted)) as bar:
             done = iter(range(len(selection.wanted)))
@@ -115,15 +124,17 @@ def verify_evidence(
     raise typer.Exit(verdict)
 
 
-def _selection(log: Log, situation: str | None, stream: str | None, begin: str | None, end: str | None) -> Selection:
+def _selection(
+    log: Log, situation: str | None, stream: str | None, begin: str | None, end: str | None, epoch: int | None
+) -> Selection:
     if (situation is None) == (stream is None):
         raise WrongUsage("give either --situation or --stream")
     if situation is not None:
-        if begin is not None or end is not None:
-            raise WrongUsage("--from and --to go with --stream; a situation names its own events")
+        if (begin, end, epoch) != (None, None, None):
+            raise WrongUsage("--from, --to and --epoch go with --stream; a situation names its own events")
         return of_situation(log, situation)
     assert stream is not None
-    return of_stream(log, StreamName.parse(stream), _bound("--from", begin), _bound("--to", end))
+    return of_stream(log, StreamName.parse(stream), _bound("--from", begin), _bound("--to", end), epoch)
 
 
 def _bound(option: str, text: str | None) -> int | datetime | None:

@@ -75,22 +75,44 @@ class Selection:
         self.want(found.segment.stream, found.segment.header.epoch, found.sequence, found.sequence, why)
 
 
-def of_stream(log: Log, stream: StreamName, since: int | datetime | None, until: int | datetime | None) -> Selection:
+def of_stream(
+    log: Log,
+    stream: StreamName,
+    since: int | datetime | None,
+    until: int | datetime | None,
+    epoch: int | None = None,
+) -> Selection:
     """A stream's events between two sequences, both inclusive, or two times, the second exclusive.
 
+    Args:
+        log: The log.
+        stream: The stream.
+        since: From where on; the beginning by default.
+        until: Up to where; the end by default.
+        epoch: Only this life of the stream; all of them by default.
+
     Raises:
-        WrongUsage: There is no such stream, or it has no such events.
+        WrongUsage: There is no such stream or life, it has no such events, or a sequence is one of several lives.
     """
-    head = _head(log.streams(), stream)
-    first, last = _bounds(log, head, since, until)
-    if first > last:
+    lives = _lives(log, stream, epoch)
+    if len(lives) > 1 and (isinstance(since, int) or isinstance(until, int)):
+        raise WrongUsage(
+            f"{stream} has several lives, each with sequences of its own: {_told(lives)}. "
+            "Next: say which by --epoch, or give times instead of sequences"
+        )
+    question: dict[str, Any] = {"stream": str(stream), "from": _plain(since), "to": _plain(until)}
+    selection = Selection(question | ({"epoch": epoch} if epoch is not None else {}))
+    for life in lives:
+        first, last = _bounds(log, life, since, until)
+        if first <= last:
+            selection.want(stream, life.epoch, first, last, "asked for")
+    if not selection.wanted:
         raise WrongUsage(
             f"{stream} has no events from {since or 'its beginning'} to {until or 'its end'}; "
-            f"it has sequences 1 to {head.sequence}. Next: vian tail --source {stream.source} --type {stream.type}"
+            f"it has {_told(lives)}. Next: vian tail --source {stream.source} --type {stream.type}"
         )
-    selection = Selection({"stream": str(stream), "from": _plain(since), "to": _plain(until)})
-    selection.want(stream, head.epoch, first, last, "asked for")
-    _want_origin(log, selection, selection.wanted[0])
+    for wanted in list(selection.wanted):
+        _want_origin(log, selection, wanted)
     return selection
 
 
@@ -230,13 +252,23 @@ def _events(log: Log, segment: Segment) -> Iterator[Found]:
         yield Found(event, segment.header.first_sequence + number, segment)
 
 
-def _head(heads: Sequence[StreamHead], stream: StreamName) -> StreamHead:
-    """The head of the newest life of a stream."""
-    lives = [head for head in heads if head.stream == stream and head.sequence]
+def _lives(log: Log, stream: StreamName, epoch: int | None) -> list[StreamHead]:
+    """The heads of a stream's lives, or of one of them."""
+    lives = log.lives(stream)
     if not lives:
-        known = ", ".join(sorted({str(head.stream) for head in heads})) or "none yet"
+        known = ", ".join(sorted({str(head.stream) for head in log.streams()})) or "none yet"
         raise WrongUsage(f"there is no stream {stream}; known: {known}")
-    return max(lives, key=lambda head: head.epoch)
+    chosen = [life for life in lives if epoch in (None, life.epoch)]
+    if not chosen:
+        raise WrongUsage(f"{stream} has no events of epoch {epoch}; it has {_told(lives)}")
+    return chosen
+
+
+def _told(lives: Sequence[StreamHead]) -> str:
+    """What there is of a stream, for people."""
+    if len(lives) == 1:
+        return f"sequences 1 to {lives[0].sequence}"
+    return ", ".join(f"epoch {life.epoch} with sequences 1 to {life.sequence}" for life in lives)
 
 
 def _epoch(heads: Sequence[StreamHead], stream: StreamName, situation: Segment) -> int:

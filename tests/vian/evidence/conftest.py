@@ -56,12 +56,7 @@ def fill(log: Log, sign: Callable[[], object]) -> None:
             codec="h264", started_at=START,
         ),
     )  # fmt: skip
-    say(
-        log,
-        ProcessStarted(
-            time=START, process="p1", extractor="motion", extractor_version="1.0.0", configuration="{}", video=VIDEO
-        ),
-    )
+    say(log, started("p1"))
     sign()
     track(log, 10)
     track(log, 5, YARD)
@@ -73,6 +68,12 @@ def fill(log: Log, sign: Callable[[], object]) -> None:
     sign()
     track(log, 10)
     sign()
+
+
+def started(process: str) -> ProcessStarted:
+    return ProcessStarted(
+        time=START, process=process, extractor="motion", extractor_version="1.0.0", configuration="{}", video=VIDEO
+    )
 
 
 def situation() -> SituationDetected:

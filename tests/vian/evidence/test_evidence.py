@@ -17,7 +17,7 @@ from events import StreamName
 from store import Log
 from tests.store.tiered import seal_all
 from tests.vian.conftest import Ran, Run
-from tests.vian.evidence.conftest import RULE, SITUATION, VIDEO, Export, fill, say, situation, track
+from tests.vian.evidence.conftest import RULE, SITUATION, VIDEO, Export, fill, say, situation, started, track
 from tests.vian.samples import GATE, YARD
 from vian.evidence import verifier
 
@@ -117,7 +117,7 @@ def test_evidence_is_signed_up_to_its_end(export: Export, signed_log: Log) -> No
     [
         ((), "give either --situation or --stream"),
         (("--situation", SITUATION, "--stream", str(GATE)), "give either --situation or --stream"),
-        (("--situation", SITUATION, "--from", "1"), "--from and --to go with --stream"),
+        (("--situation", SITUATION, "--from", "1"), "--from, --to and --epoch go with --stream"),
         (("--situation", "3f9"), "--situation wants an identity, or its first 6 characters or more; got '3f9'"),
         (("--situation", "abcdef"), "no situation begins with 'abcdef'. Next: vian tail --type situation_detected"),
         (("--stream", "brno/gate"), "a stream is written station/source/type"),
@@ -204,13 +204,40 @@ def test_both_lives_of_a_restored_station_can_be_exported(
     with psycopg.connect(signed_log.dsn) as owner:
         owner.execute("update log_head set epoch = 2")
     with Log(signed_log.dsn, signed_log.catalogue) as restored:
+        say(restored, started("p2"))
         track(restored, 10)
-    for number, question in enumerate((("--situation", SITUATION), ("--stream", str(GATE)))):
+    whole = {1: [[1, 45]], 2: [[1, 10]]}
+    questions: dict[tuple[str, ...], tuple[dict[int, Any], set[int]]] = {
+        ("--situation", SITUATION): ({1: [[13, 25]]}, {1}),
+        ("--stream", str(GATE)): (whole, {1, 2}),
+        ("--stream", str(GATE), "--epoch", "1"): ({1: [[1, 45]]}, {1}),
+        ("--stream", str(GATE), "--epoch", "1", "--from", "7", "--to", "12"): ({1: [[7, 12]]}, {1}),
+        ("--stream", str(GATE), "--to", "2026-01-01T10:00:05Z"): ({1: [[1, 5]], 2: [[1, 5]]}, {1, 2}),
+        ("--stream", str(GATE), "--from", "2026-01-01T10:00:30Z"): ({1: [[31, 45]]}, {1}),
+    }
+    for number, (question, (ranges, processes)) in enumerate(questions.items()):
         out = tmp_path / f"restored-{number}"
         ran = run("evidence", "export", *question, "--dsn", signed_log.dsn, "--key-file", key_file, "--out", out)
         assert ran.code == 0, ran.err
-        assert {item["epoch"] for item in manifest_of(out)["items"] if item["stream"] == str(GATE)} == {number + 1}
+        items = manifest_of(out)["items"]
+        assert {item["epoch"]: item["ranges"] for item in items if item["stream"] == str(GATE)} == ranges
+        assert {item["epoch"] for item in items if item["stream"] == "brno/gate/process_started"} == processes
         assert alone(out, is_bare=False).out.endswith("INTACT AND SIGNED\n")
+
+
+def test_a_sequence_of_several_lives_is_not_guessed(signed_log: Log, run: Run) -> None:
+    with psycopg.connect(signed_log.dsn) as owner:
+        owner.execute("update log_head set epoch = 2")
+    with Log(signed_log.dsn, signed_log.catalogue) as restored:
+        track(restored, 10)
+    for arguments, said in (
+        (("--to", "7"), "epoch 1 with sequences 1 to 45, epoch 2 with sequences 1 to 10. Next: say which by --epoch"),
+        (("--epoch", "3"), f"{GATE} has no events of epoch 3; it has epoch 1 with sequences 1 to 45, epoch 2"),
+        (("--epoch", "2", "--from", "11"), "has no events from 11 to its end; it has sequences 1 to 10"),
+    ):
+        ran = run("evidence", "export", "--stream", GATE, *arguments, "--dsn", signed_log.dsn)
+        assert ran.code == 2
+        assert said in ran.words
 
 
 def test_sealed_segments_are_evidence_like_the_others(
