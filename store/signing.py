@@ -11,7 +11,7 @@ from datetime import datetime
 from hashlib import sha256
 from typing import NoReturn
 
-from events import Producer, Segment, batch_of, encode
+from events import EventError, Producer, Segment, batch_of, encode
 from store.audit import checkpoints_in
 from store.errors import BadProof, ChainBroken, SequenceConflict
 from store.keys import StationKey, is_signed
@@ -182,7 +182,12 @@ def newest_checkpoint(log: Log, station: str) -> tuple[Segment, SignedCheckpoint
     if not heads:
         return None
     head = max(heads, key=lambda each: each.epoch)
-    segment = next(log.read(stream, head.sequence, epoch=head.epoch), None)
-    if segment is None:
-        raise BadProof(f"{stream}: sequence {head.sequence} is missing. Next: vian verify --full")
-    return segment, checkpoints_in(segment, log)[-1]
+    try:
+        segment = next(log.read(stream, head.sequence, epoch=head.epoch), None)
+        if segment is None:
+            raise BadProof(f"{stream}: sequence {head.sequence} is missing. Next: vian verify --full")
+        return segment, checkpoints_in(segment, log)[-1]
+    except (ChainBroken, EventError) as error:
+        raise BadProof(
+            f"{stream}: sequence {head.sequence} cannot be read: {error}. Next: vian verify --full"
+        ) from error

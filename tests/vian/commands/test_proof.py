@@ -9,6 +9,7 @@ import psycopg
 import pytest
 
 from store import Log
+from tests.store.tiered import seal_all
 from tests.vian.conftest import Ran, Run
 from tests.vian.samples import GATE, YARD, append, points
 
@@ -209,6 +210,26 @@ def test_verify_names_station_stream_and_position_of_a_flipped_byte(filled: Log,
     assert "the log does not verify: 1 breaks. Next: keep this database as it is" in ran.words
     (broken,) = objects(run("verify", *at, "--json").out)
     assert (broken["sound"], broken["station"], broken["stream"], broken["position"]) == (False, "brno", str(YARD), 2)
+
+
+@pytest.mark.parametrize("is_sealed", [True, False])
+def test_damage_to_the_newest_checkpoint_is_found_and_named(
+    filled: Log, at: tuple[str, ...], run: Run, tmp_path: Path, is_sealed: bool
+) -> None:
+    run("init", *at)
+    run("sign", *at)
+    if is_sealed:
+        seal_all(filled, tmp_path / "archive")
+        newest = max((tmp_path / "archive" / "_sealed").iterdir())
+        newest.write_bytes(newest.read_bytes()[:-64])
+    else:
+        with psycopg.connect(filled.dsn) as owner:
+            owner.execute("alter table segments disable trigger all")
+            owner.execute("update segments set payload = substr(payload, 9) where position = 4")
+    ran = run("verify", "--full", *at)
+    assert ran.code == 1
+    assert "the log does not verify: " in ran.words
+    assert ran.out.startswith("broken: ")
 
 
 def test_an_empty_log_is_sound(log: Log, run: Run) -> None:
