@@ -24,7 +24,7 @@ from store.backup import Chains
 from store.backup_files import Manifest, Restored
 from store.errors import BackupDamaged, BackupUnusable, ChainBroken, LogUnavailable
 from store.log import Log
-from store.maintenance import RESTORE_BEGAN, RESTORED, VERIFIED, note, note_on
+from store.maintenance import RESTORE_BEGAN, RESTORED, VERIFIED, newest, note, note_on
 from store.projector import BEHIND
 from store.projector import NAME as PROJECTOR
 from store.schema import safe_dsn
@@ -101,6 +101,14 @@ def verify_restored(log: Log, folder: Path, on_segment: Callable[[Segment], None
     if found.is_sound:
         note(log, VERIFIED, folder, found.position)
     return found
+
+
+def note_read_back(log: Log, position: int) -> None:
+    """Record of a restored log that it was found sound as a whole, unless that was recorded since its restore."""
+    done = newest(log)
+    restored, verified = done.get(RESTORED), done.get(VERIFIED)
+    if restored is not None and (verified is None or verified.at < restored.at):
+        note(log, VERIFIED, restored.place, position)
 
 
 def note_restored(folder: Path, restored: Restore, *, is_verified: bool) -> None:

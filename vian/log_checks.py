@@ -164,7 +164,7 @@ def _care(log: Log, now: datetime) -> Iterator[Finding]:
 
 def _restored(restored: Care, verified: Care | None) -> Finding:
     came = f"this log was restored from {restored.place} at {restored.at:%Y-%m-%d %H:%M:%S} UTC"
-    if verified:
+    if verified and verified.at >= restored.at:
         return Finding("restore", Verdict.OK, f"{came}, read back and verified up to position {verified.position}")
     return Finding("restore", Verdict.NOTE, f"{came} and was not read back. Next: vian verify")
 

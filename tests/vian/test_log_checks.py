@@ -203,6 +203,9 @@ def test_a_restored_log_knows_where_it_came_from_and_whether_it_was_read_back(
     verdict, text = findings(target)["restore"]
     assert verdict is Verdict.OK
     assert text.endswith("read back and verified up to position 1")
+    with reopened(target) as other:
+        maintenance.note(other, maintenance.RESTORED, tmp_path / "b", 1)
+    assert "and was not read back" in findings(target)["restore"][1], "it was restored once more"
 
 
 def test_a_restore_that_did_not_finish_is_bad(log: Log, tmp_path: Path) -> None:

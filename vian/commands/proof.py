@@ -8,6 +8,8 @@ from store import (
     BadProof,
     ChainBroken,
     Covered,
+    Log,
+    StoreError,
     Verification,
     Verified,
     key_id,
@@ -16,6 +18,7 @@ from store import (
     make_key,
     verify,
 )
+from store.restoring import note_read_back
 from vian import options
 from vian.errors import WorldFailed, WrongUsage
 from vian.options import opened, settings_for
@@ -126,6 +129,8 @@ def verify_log(
             trusted=known_keys(path) | keys_of_others(path),
             save=lambda verified: _note(note, verified, output),
         )
+        if found.is_sound:
+            _note_read_back(log, found, output)
     if not found.is_sound:
         for broken in found.broken:
             output.result(_broken(broken), f"broken: {broken}")
@@ -145,6 +150,13 @@ def _note(note: VerifiedNote, verified: Verified, output: Output) -> None:
         note.save(verified)
     except BadProof as error:
         output.note(f"the next run begins where this one did: {error}")
+
+
+def _note_read_back(log: Log, found: Verification, output: Output) -> None:
+    try:
+        note_read_back(log, found.position)
+    except StoreError as error:
+        output.note(f"that the restored log was read back cannot be recorded: {error}")
 
 
 def _before(note: VerifiedNote, output: Output) -> Verified | None:

@@ -14,7 +14,7 @@ import pytest
 from alembic import command
 from alembic.script import ScriptDirectory
 
-from store import Log, backup_files, verify
+from store import Log, backup_files, maintenance, verify
 from store.embedded import EmbeddedServer
 from store.schema import configuration, migrate
 from tests.conftest import MakeLog, Server
@@ -76,6 +76,35 @@ def test_a_backup_is_restored_into_a_database_by_address(log: Log, run: Run, tmp
     with Log(empty, log.catalogue) as other:
         assert heads(other) == heads(log)
         assert verify(other).is_sound
+
+
+def test_a_restored_log_was_read_back_when_vian_verify_found_it_sound(
+    log: Log, run: Run, tmp_path: Path, empty: str
+) -> None:
+    append(log, points(3))
+    run("backup", tmp_path / "b", "--dsn", log.dsn)
+    run("restore", tmp_path / "b", "--dsn", empty)
+    assert "was not read back. Next: vian verify" in run("doctor", "--dsn", empty).out
+    run("verify", "--dsn", empty)
+    assert "read back and verified up to position 1" in run("doctor", "--dsn", empty).out
+    with Log(empty, log.catalogue) as other:
+        verified = maintenance.newest(other)["verified"]
+        append(other, points(1))
+        run("verify", "--dsn", empty)
+        assert maintenance.newest(other)["verified"] == verified, "it is noted once"
+    run("verify", "--dsn", log.dsn)
+    assert "verified" not in maintenance.newest(log), "it was never restored"
+
+
+def test_a_restored_log_that_is_not_sound_was_not_read_back(log: Log, run: Run, tmp_path: Path, empty: str) -> None:
+    append(log, points(3))
+    run("backup", tmp_path / "b", "--dsn", log.dsn)
+    run("restore", tmp_path / "b", "--dsn", empty)
+    with psycopg.connect(empty) as owner:
+        owner.execute("alter table segments disable trigger all")
+        owner.execute("update segments set event_count = 2")
+    assert run("verify", "--dsn", empty).code == 1
+    assert "was not read back. Next: vian verify" in run("doctor", "--dsn", empty).out
 
 
 def test_a_folder_without_a_backup_makes_no_log(run: Run, tmp_path: Path, data_dir: Path) -> None:
