@@ -154,15 +154,16 @@ class VerifiedNote:
     """What `vian verify` found sound, in a file in the data directory: one a log."""
 
     def __init__(self, log: Log, settings: Settings) -> None:
-        """Name the log: the cluster's and the database's own identifiers."""
+        """Name the log: the cluster's and the database's own identifiers, and its life, which a restore begins."""
         with log.connection() as connection:
             row = connection.execute(
                 "select system_identifier::text, d.oid::text "
                 "from pg_control_system(), pg_database d where d.datname = current_database()"
             ).fetchone()
         assert row is not None, "a cluster has an identifier"
-        self._name = "/".join(row)
-        self.path = settings.data_dir / "verified" / f"{'-'.join(row)}.json"
+        names = (*row, str(log.epoch))
+        self._name = "/".join(names)
+        self.path = settings.data_dir / "verified" / f"{'-'.join(names)}.json"
 
     def load(self) -> Verified | None:
         """What was found sound; None where nothing was yet.

@@ -107,6 +107,25 @@ def test_a_restored_log_that_is_not_sound_was_not_read_back(log: Log, run: Run, 
     assert "was not read back. Next: vian verify" in run("doctor", "--dsn", empty).out
 
 
+def test_an_older_backup_restored_into_the_same_database_is_verified_as_a_log_of_its_own(
+    log: Log, run: Run, tmp_path: Path, empty: str
+) -> None:
+    append(log, points(3))
+    run("backup", tmp_path / "b", "--dsn", log.dsn)
+    run("restore", tmp_path / "b", "--dsn", empty)
+    with Log(empty, log.catalogue) as other:
+        append(other, points(1))
+    assert run("verify", "--dsn", empty).code == 0
+    with psycopg.connect(empty) as owner:
+        owner.execute("set session_replication_role = replica")
+        owner.execute("truncate segments, streams, checkpoints cascade")
+        owner.execute("update log_head set position = 0, epoch = 1")
+    again = run("restore", tmp_path / "b", "--dsn", empty)
+    assert again.code == 0, again.err
+    verified = run("verify", "--dsn", empty)
+    assert verified.code == 0, verified.out
+
+
 def test_a_folder_without_a_backup_makes_no_log(run: Run, tmp_path: Path, data_dir: Path) -> None:
     ran = run("restore", tmp_path / "none", "--data-dir", data_dir)
     assert ran.code == 1
