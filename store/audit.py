@@ -293,7 +293,11 @@ class Audit:
         if is_first or is_known or statement.public_key in (trail.key, *trail.successors):
             return None
         if trail.key == NO_KEY:
-            return f"it is signed by key {name}, which is not among this station's: {', '.join(sorted(self._trusted))}"
+            return (
+                f"it is signed by key {name}, which is not among this station's: {', '.join(sorted(self._trusted))}. "
+                f"Next: if you trust that key, put {name}.pem into public-keys/ beside this station's key, from where "
+                "the log was before or from its backup"
+            )
         return f"it is signed by key {name}, which key {key_id(trail.key)} did not name as its successor"
 
 

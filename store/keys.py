@@ -101,7 +101,24 @@ def load_key(path: Path) -> StationKey:
 
 def keep_public(path: Path, public_key: bytes) -> Path:
     """Keep a public key in the folder beside the station's key; where it lies."""
-    folder = path.parent / FOLDER
+    return _keep(path.parent / FOLDER, public_key)
+
+
+def copy_public(source: Path, target: Path) -> list[str]:
+    """Copy the public keys that lie beside one key, those of others too, beside another; ids of its own that are new.
+
+    Raises:
+        BadProof: A file there is no public key, or a key cannot be written.
+    """
+    own, known = known_keys(source), known_keys(target)
+    for public_key in own.values():
+        keep_public(target, public_key)
+    for public_key in keys_of_others(source).values():
+        _keep(target.parent / FOLDER / OTHERS, public_key)
+    return sorted(own.keys() - known.keys())
+
+
+def _keep(folder: Path, public_key: bytes) -> Path:
     kept = folder / f"{key_id(public_key)}.pem"
     pem = Ed25519PublicKey.from_public_bytes(public_key).public_bytes(Encoding.PEM, PublicFormat.SubjectPublicKeyInfo)
     try:

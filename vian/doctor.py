@@ -13,13 +13,15 @@ from collections.abc import Callable, Iterator
 from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 
+from events import CheckpointSigned
 from store import BadProof, Log, StoreError, load_key
 from store.embedded import MAJOR
+from store.keys import FOLDER
 from vian.findings import Finding, Verdict
 from vian.log_checks import check_log
 from vian.options import has_log
 from vian.settings import Settings, config_file
-from vian.signatures import key_path
+from vian.signatures import has_key, key_path, own_station
 from vian.version import VERSION
 
 PACKAGES = ("events", "store", "patterns", "extractors", "sync", "migrations", "vian")
@@ -39,15 +41,18 @@ def examine(settings: Settings, open_existing: Callable[[], Log], *, is_embedded
         "settings", Verdict.OK, f"from {config_file()}" if config_file().exists() else "defaults and environment"
     )
     yield from _packages()
-    yield _key(settings)
+    if has_key(settings):
+        yield _key(settings)
     if is_embedded:
         yield from _data_dir(settings.data_dir)
         if not has_log(settings.data_dir):
+            if not has_key(settings):
+                yield _no_key(settings)
             yield Finding(
                 "log", Verdict.NOTE, f"no log in {settings.data_dir} yet; vian demo or vian extract makes one"
             )
             return
-    yield from _log(open_existing)
+    yield from _log(settings, open_existing)
 
 
 def _packages() -> Iterator[Finding]:
@@ -91,12 +96,33 @@ def _overwritten() -> Iterator[str]:
 
 def _key(settings: Settings) -> Finding:
     path = key_path(settings)
-    if not path.exists():
-        return Finding("key", Verdict.NOTE, "there is no key: nothing is signed. Next, if it shall be: vian init")
     try:
         return Finding("key", Verdict.OK, f"{load_key(path).id} in {path}")
     except BadProof as error:
         return Finding("key", Verdict.BAD, str(error))
+
+
+def _no_key(settings: Settings, signed_before: str | None = None) -> Finding:
+    """What to do about a key that is not here, where a key of that station signed before, or none did."""
+    if signed_before is None:
+        return Finding("key", Verdict.NOTE, "there is no key: nothing is signed. Next, if it shall be: vian init")
+    path = key_path(settings)
+    return Finding(
+        "key",
+        Verdict.NOTE,
+        f"there is no key, but one of station {signed_before} signed this log before: nothing is signed any more. "
+        f"Next: bring {path} back from where the log was, or from a copy; if it is lost, bring its public key back "
+        f"into {path.parent / FOLDER}, then vian init",
+    )
+
+
+def _signed_before(log: Log, settings: Settings) -> str | None:
+    """The station whose log this is, if it signed."""
+    heads = log.streams()
+    own = own_station(log, settings)
+    stations = {str(head.stream.station) for head in heads}
+    is_signed = any(head.stream.type == CheckpointSigned.type_name for head in heads)
+    return stations.pop() if own is None and is_signed and len(stations) == 1 else own
 
 
 def _data_dir(data_dir: Path) -> Iterator[Finding]:
@@ -118,15 +144,17 @@ def _data_dir(data_dir: Path) -> Iterator[Finding]:
     yield Finding("disk", verdict, f"{free} MiB free{next_step}")
 
 
-def _log(open_existing: Callable[[], Log]) -> Iterator[Finding]:
+def _log(settings: Settings, open_existing: Callable[[], Log]) -> Iterator[Finding]:
     try:
-        yield from _log_found(open_existing)
+        yield from _log_found(settings, open_existing)
     except StoreError as error:
         yield Finding("log", Verdict.BAD, str(error))
 
 
-def _log_found(open_existing: Callable[[], Log]) -> Iterator[Finding]:
+def _log_found(settings: Settings, open_existing: Callable[[], Log]) -> Iterator[Finding]:
     with open_existing() as log:
+        if not has_key(settings):
+            yield _no_key(settings, _signed_before(log, settings))
         yield Finding("log", Verdict.OK, f"{len(log.streams())} streams, {log.head()} segments, epoch {log.epoch}")
         data_dir = log.server.data_dir if log.server is not None else None
         yield from check_log(log, shutil.disk_usage(data_dir).free if data_dir is not None else None)

@@ -7,12 +7,14 @@ from typing import Any, NoReturn
 
 import pytest
 
-from store import Log, LogUnavailable, Projector, make_key
+from events import StreamName
+from store import Log, LogUnavailable, Projector, Signer, load_key, make_key
 from tests.vian.samples import append, points, reopened
 from vian import doctor
 from vian.doctor import examine
 from vian.findings import Verdict
 from vian.settings import load_settings
+from vian.signatures import utc_now
 
 
 def findings(open_existing: Callable[[], Log], **given: Any) -> dict[str, tuple[Verdict, str]]:
@@ -57,6 +59,23 @@ def test_the_key_is_a_finding(tmp_path: Path) -> None:
     verdict, text = findings(never, data_dir=tmp_path)["key"]
     assert verdict is Verdict.BAD
     assert f"Next: chmod 600 {tmp_path}/station.key" in text
+
+
+def test_a_log_that_was_signed_by_a_key_that_is_not_here_wants_it_back(log: Log, tmp_path: Path) -> None:
+    old, here = tmp_path / "old" / "station.key", tmp_path / "here" / "station.key"
+    make_key(old)
+    append(log, points(1))
+    given = {"dsn": log.dsn, "key_file": here}
+    assert findings(lambda: reopened(log), **given)["key"][1].endswith("if it shall be: vian init")
+    Signer(log, "brno", lambda: load_key(old), utc_now).sign()
+    verdict, text = findings(lambda: reopened(log), **given)["key"]
+    assert verdict is Verdict.NOTE
+    assert "one of station brno signed this log before: nothing is signed any more. Next: bring" in text
+    assert f"bring {here} back" in text
+    assert f"bring its public key back into {here.parent}/public-keys, then vian init" in text
+    append(log, points(1), StreamName.of("plzen", "gate", "track_point"))
+    assert "vian init" in findings(lambda: reopened(log), **given)["key"][1], "it is central's: others sign there"
+    assert "bring" not in findings(lambda: reopened(log), **given)["key"][1]
 
 
 def test_a_database_that_is_away_is_a_finding(log: Log) -> None:

@@ -14,7 +14,7 @@ import pytest
 from alembic import command
 from alembic.script import ScriptDirectory
 
-from store import Log, backup_files, maintenance, verify
+from store import Log, backup_files, maintenance, make_key, verify
 from store.embedded import EmbeddedServer
 from store.schema import configuration, migrate
 from tests.conftest import MakeLog, Server
@@ -124,6 +124,50 @@ def test_an_older_backup_restored_into_the_same_database_is_verified_as_a_log_of
     assert again.code == 0, again.err
     verified = run("verify", "--dsn", empty)
     assert verified.code == 0, verified.out
+
+
+def test_public_keys_come_back_with_a_signed_log_and_the_private_one_is_asked_for(
+    log: Log, run: Run, tmp_path: Path, empty: str
+) -> None:
+    old, new, other = (tmp_path / name / "station.key" for name in ("old", "new", "other"))
+    append(log, points(3))
+    key_id = last(run("init", "--dsn", log.dsn, "--key-file", old, "--json").out)["key_id"]
+    make_key(other)
+    (old.parent / "public-keys" / "others").mkdir()
+    foreign = next((other.parent / "public-keys").iterdir())
+    shutil.copy(foreign, old.parent / "public-keys" / "others")
+    run("sign", "--dsn", log.dsn, "--key-file", old)
+    run("backup", tmp_path / "b", "--dsn", log.dsn, "--key-file", old)
+    assert not list((tmp_path / "b").rglob("station.key"))
+
+    done = run("restore", tmp_path / "b", "--dsn", empty, "--key-file", new)
+    assert f"Public keys that came with it, to be compared with those you noted: {key_id}. " in done.out
+    assert f"copy the old station.key to {new}, and public-keys/ beside it. Next: vian project" in done.out
+    assert {path.name for path in new.parent.rglob("*.pem")} == {f"{key_id}.pem", foreign.name}
+    assert (new.parent / "public-keys" / "others" / foreign.name).exists()
+
+    # The key is lost: the station goes on with a new one.
+    at = ("--dsn", empty, "--key-file", new, "--station", "brno")
+    run("init", *at)
+    assert run("sign", *at).code == 0
+    sound = run("verify", *at)
+    assert sound.code == 0, sound.out
+    (new.parent / "public-keys" / f"{key_id}.pem").unlink()
+    broken = run("verify", "--full", *at)
+    assert broken.code == 1
+    assert f"Next: if you trust that key, put {key_id}.pem into public-keys/" in broken.out
+    shutil.copy(tmp_path / "b" / "public-keys" / f"{key_id}.pem", new.parent / "public-keys")
+    assert run("verify", "--full", *at).code == 0
+
+
+def test_a_public_key_that_is_damaged_does_not_keep_from_a_backup(log: Log, run: Run, tmp_path: Path) -> None:
+    append(log, points(3))
+    (tmp_path / "public-keys").mkdir()
+    (tmp_path / "public-keys" / "ab.pem").write_text("none")
+    made = run("backup", tmp_path / "b", "--dsn", log.dsn, "--key-file", tmp_path / "station.key")
+    assert made.code == 0
+    assert "not every public key was copied: " in made.words
+    assert backup_files.read_manifest(tmp_path / "b") is not None
 
 
 def test_a_folder_without_a_backup_makes_no_log(run: Run, tmp_path: Path, data_dir: Path) -> None:
