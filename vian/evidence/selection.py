@@ -130,7 +130,7 @@ def of_situation(log: Log, identity: str) -> Selection:
     selection.want_event(found, "the situation")
     for each in event.lineage:
         stream = StreamName.parse(each.stream)
-        epoch = _epoch(log.streams(), stream, found.segment)
+        epoch = _epoch(log, stream, found.segment, each.last_sequence)
         selection.want(stream, epoch, each.first_sequence, each.last_sequence, f"lineage: {each.variable}")
     for lineage in [each for each in selection.wanted if each.why[0].startswith("lineage")]:
         _want_origin(log, selection, lineage)
@@ -271,12 +271,16 @@ def _told(lives: Sequence[StreamHead]) -> str:
     return ", ".join(f"epoch {life.epoch} with sequences 1 to {life.sequence}" for life in lives)
 
 
-def _epoch(heads: Sequence[StreamHead], stream: StreamName, situation: Segment) -> int:
-    """Which life of a stream a situation speaks of: its own station's at that time, or the newest."""
-    lives = [head.epoch for head in heads if head.stream == stream]
-    if situation.header.epoch in lives and stream.station == situation.stream.station:
-        return situation.header.epoch
-    return max(lives, default=situation.header.epoch)
+def _epoch(log: Log, stream: StreamName, situation: Segment, last_sequence: int) -> int:
+    """Which life of a stream a situation speaks of: the newest that held so many events when it was recorded.
+
+    Its own station's lives are none that began after the situation's.
+    """
+    is_own = stream.station == situation.stream.station
+    lives = [life.epoch for life in log.lives(stream) if not is_own or life.epoch <= situation.header.epoch]
+    at = situation.position
+    held = [each for each in lives if log.stream_head(stream, epoch=each, at_position=at).sequence >= last_sequence]
+    return max(held or lives, default=situation.header.epoch)
 
 
 def _merged(ranges: list[tuple[int, int]]) -> tuple[tuple[int, int], ...]:

@@ -13,7 +13,7 @@ import duckdb
 import psycopg
 import pytest
 
-from events import StreamName
+from events import MatchedRange, StreamName
 from store import Log
 from tests.store.tiered import seal_all
 from tests.vian.conftest import Ran, Run
@@ -223,6 +223,28 @@ def test_both_lives_of_a_restored_station_can_be_exported(
         assert {item["epoch"]: item["ranges"] for item in items if item["stream"] == str(GATE)} == ranges
         assert {item["epoch"] for item in items if item["stream"] == "brno/gate/process_started"} == processes
         assert alone(out, is_bare=False).out.endswith("INTACT AND SIGNED\n")
+
+
+def test_a_situation_may_rest_on_events_of_an_earlier_life(
+    signed_log: Log, run: Run, tmp_path: Path, key_file: Path
+) -> None:
+    with psycopg.connect(signed_log.dsn) as owner:
+        owner.execute("update log_head set epoch = 2")
+    identity = "ab" * 32
+    before, since = (13, 25), (3, 5)
+    lineage = tuple(
+        MatchedRange(variable="a", stream=str(GATE), first_sequence=first, last_sequence=last, events=2)
+        for first, last in (before, since)
+    )
+    with Log(signed_log.dsn, signed_log.catalogue) as restored:
+        track(restored, 10)
+        say(restored, situation().model_copy(update={"situation": identity, "lineage": lineage}))
+        track(restored, 30)
+    out, options = tmp_path / "out", ("--dsn", signed_log.dsn, "--key-file", key_file)
+    assert run("evidence", "export", "--situation", identity, "--out", out, *options).code == 0
+    items = [item for item in manifest_of(out)["items"] if item["stream"] == str(GATE)]
+    assert {item["epoch"]: item["ranges"] for item in items} == {1: [list(before)], 2: [list(since)]}
+    assert alone(out, is_bare=False).out.endswith("INTACT AND SIGNED\n")
 
 
 def test_a_sequence_of_several_lives_is_not_guessed(signed_log: Log, run: Run) -> None:
