@@ -5,12 +5,13 @@ sealed one. Which position that is, the caller knows from a query of its own, so
 while a range moves from one to the other.
 """
 
+import copy
 import threading
 from collections import OrderedDict, deque
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import pyarrow as pa
 
@@ -67,6 +68,12 @@ class ColdTier:
         self._lock = threading.Lock()
         self._files: OrderedDict[str, SealedReader] = OrderedDict()
         self._groups: OrderedDict[tuple[str, int], pa.Table] = OrderedDict()
+
+    def through(self, rows: Rows) -> Self:
+        """The same, asking its index through other means; what is kept in memory is shared."""
+        other = copy.copy(self)
+        other._rows = rows
+        return other
 
     def head(self) -> ArchiveHead:
         """Where the archive is, and how far the log is sealed."""

@@ -3,6 +3,7 @@
 import random
 import shutil
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from datetime import timedelta
 from pathlib import Path
 
@@ -22,6 +23,7 @@ from store import (
     sealing,
     verify,
 )
+from store.log import CONNECTIONS_MAX
 from store.reading import Filter
 from store.sealing import Sealer
 from tests.conftest import MakeLog
@@ -341,3 +343,14 @@ def test_an_appender_that_says_sealed_events_again_stores_nothing_twice(log: Log
     assert [segment.header.first_sequence for segment in log.read(GATE)] == [1, 3, 5]
     assert query(log, "select count(*) from segments") == [(0,)]
     assert verify(log).is_sound
+
+
+def test_more_threads_than_connections_that_send_sealed_segments_again_do_not_wait_for_each_other(
+    log: Log, tmp_path: Path
+) -> None:
+    append(log, GATE, 2, 2)
+    seal_all(log, tmp_path)
+    sent = [draft(GATE, 1, 2), draft(GATE, 3, 4)]
+    with ThreadPoolExecutor(3 * CONNECTIONS_MAX) as pool:
+        answers = [pool.submit(log.append, sent, [0, 2]) for _ in range(3 * CONNECTIONS_MAX)]
+        assert all(each.was_there for answer in answers for each in answer.result(30))
