@@ -87,7 +87,7 @@ class Settings(BaseSettings):
     append_events_max: Annotated[int, Field(ge=1)] = 10_000
     """events at which such a commit does not wait for the window"""
     journal: HomePath | None = None
-    """file that keeps what live extractors append while the database is away; `journal.sqlite` in data_dir by default"""
+    """file that keeps what live extractors append while the database is away; in data_dir by default"""
     database_wait_s: Annotated[float, Field(ge=0)] = 60.0
     """how long an append waits for a database that is away, in seconds"""
 
