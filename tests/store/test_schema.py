@@ -1,6 +1,7 @@
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from importlib import resources
+from pathlib import Path
 from typing import Any
 
 import psycopg
@@ -19,6 +20,7 @@ from store.tables import metadata, projection_table
 from store.writing import APPEND
 from tests.conftest import Server
 from tests.store.samples import GATE, NOON, PRODUCER, YARD, append, draft_of, on_both, owner, points, query
+from tests.store.tiered import seal_all
 
 
 @pytest.fixture
@@ -298,6 +300,18 @@ def test_a_role_that_may_make_roles_and_tables_can_set_up_its_own_database(serve
             connection.execute("drop role if exists vian_writer, vian_reader, vian_archiver, founder, stranger")
         for role in taken:
             server.execute(f"alter role {role}_kept rename to {role}")
+
+
+@on_both
+def test_a_schema_that_was_taken_from_everybody_is_shared_with_the_roles(empty: str, tmp_path: Path) -> None:
+    with psycopg.connect(empty, autocommit=True) as connection:
+        connection.execute("revoke all on schema public from public")
+    with open_log(dsn=empty) as log:
+        append(log, GATE, 2)
+        seal_all(log, tmp_path)
+        with psycopg.connect(empty) as connection:
+            connection.execute("set role vian_reader")
+            assert connection.execute("select count(*) from track_point").fetchone() == (0,)
 
 
 def test_a_role_that_may_make_nothing_is_told_what_to_do(server: Server, empty: str) -> None:
