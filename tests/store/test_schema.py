@@ -314,6 +314,26 @@ def test_a_schema_that_was_taken_from_everybody_is_shared_with_the_roles(empty: 
             assert connection.execute("select count(*) from track_point").fetchone() == (0,)
 
 
+def test_an_owner_to_whom_the_roles_of_another_database_are_not_granted_is_told_what_helps(
+    server: Server, empty: str
+) -> None:
+    name = sa.make_url(empty).database
+    server.execute("create role founder login createrole", f"alter database {name} owner to founder")
+    as_founder = sa.make_url(empty).set(username="founder").render_as_string(hide_password=False)
+    step = 'grant vian_writer, vian_reader, vian_archiver to "founder" with admin option'
+    try:
+        with pytest.raises(LogUnavailable, match=f"Next: .*as a superuser: {step}$"):
+            open_log(dsn=as_founder)
+        server.execute(step)
+        with open_log(dsn=as_founder) as log:
+            append(log, GATE, 2)
+    finally:
+        with psycopg.connect(empty, autocommit=True) as connection:
+            connection.execute("drop owned by founder cascade")
+            connection.execute(f"alter database {name} owner to postgres")
+            connection.execute("drop role founder")
+
+
 def test_a_role_that_may_make_nothing_is_told_what_to_do(server: Server, empty: str) -> None:
     server.execute("create role visitor login")
     as_visitor = sa.make_url(empty).set(username="visitor").render_as_string(hide_password=False)
