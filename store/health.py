@@ -13,6 +13,8 @@ from alembic.script import ScriptDirectory
 from events import Catalogue
 from store.errors import LogUnavailable
 from store.log import Log
+from store.projector import BEHIND
+from store.reading import Filter
 from store.schema import configuration, safe_dsn
 
 SETTINGS = (
@@ -103,12 +105,33 @@ def clock(log: Log) -> Clock:
 
 
 def recorded_at(log: Log, position: int) -> datetime | None:
-    """When the first segment from a position on was recorded; None where there is none."""
+    """When the first segment from a position on was recorded, wherever it is; None where there is none.
+
+    Raises:
+        ArchiveUnavailable: It is sealed, and its file cannot be reached.
+        ChainBroken: It does not hold.
+    """
     with log.connection() as connection:
         row = connection.execute(
-            "select recorded_at from segments where position >= %s order by position limit 1", (position,)
+            "select sealed_position, (select recorded_at from segments where position >= %s order by position limit 1) "
+            "from archive_head",
+            (position,),
         ).fetchone()
-    return row[0] if row else None
+    assert row is not None, "an archive has its one row"
+    sealed, recorded = row
+    if position > sealed:
+        return recorded  # type: ignore[no-any-return]
+    found = log.archive.page(position, sealed, Filter(), 1)
+    return found[0].recorded_at if found else recorded  # type: ignore[no-any-return]
+
+
+def rows_behind(log: Log) -> Mapping[str, int]:
+    """The types whose row tables are being built apart from the others, and the position of each."""
+    return {
+        name.removeprefix(BEHIND): checkpoint.position
+        for name, checkpoint in log.checkpoints().items()
+        if name.startswith(BEHIND)
+    }
 
 
 def growth(log: Log, window: timedelta) -> Growth | None:

@@ -8,9 +8,10 @@ from pathlib import Path
 import pytest
 import sqlalchemy as sa
 
-from store import Log, back_up, maintenance, note_restored, restore
+from store import Log, Projector, back_up, maintenance, note_restored, restore
 from tests.conftest import MakeLog, Server
 from tests.store.samples import on_both, owner
+from tests.store.tiered import seal_all
 from tests.vian.samples import append, points, reopened
 from vian.findings import Verdict
 from vian.log_checks import check_log
@@ -141,6 +142,28 @@ def test_a_log_of_an_hour_has_no_horizon_yet(log: Log) -> None:
     verdict, text = findings(log, free=1)["disk horizon"]
     assert verdict is Verdict.NOTE
     assert text.startswith("not known yet: the log has been recorded for ")
+
+
+def test_the_row_tables_are_as_far_as_the_type_that_is_furthest_behind(log: Log, tmp_path: Path) -> None:
+    for number in range(3):
+        append(log, points(1, first_frame=number))
+    projector = Projector(log)
+    projector.catch_up()
+    assert findings(log)["row tables"] == (Verdict.OK, "0 segments behind the log")
+    projector.rebuild("track_point")
+    began = next(log.read_all()).recorded_at
+    seal_all(log, tmp_path / "archive")
+    verdict, text = findings(log)["row tables"]
+    assert verdict is Verdict.NOTE
+    assert text == (
+        f"up to 3 segments behind the log (since {began:%Y-%m-%d %H:%M:%S} UTC); not built up yet: track_point. "
+        "Next: vian project, or keep vian serve running"
+    )
+    (tmp_path / "archive").rename(tmp_path / "elsewhere")
+    verdict, text = findings(log)["row tables"]
+    assert verdict is Verdict.NOTE
+    assert "since when cannot be told" in text
+    assert f"is not at {tmp_path}/archive" in text
 
 
 def test_a_log_without_a_backup_is_told_to_make_one(log: Log) -> None:
