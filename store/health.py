@@ -11,7 +11,7 @@ import psycopg
 from alembic.script import ScriptDirectory
 
 from events import Catalogue
-from store.errors import LogUnavailable
+from store.errors import ArchiveUnavailable, BadRequest, LogUnavailable
 from store.log import Log
 from store.projector import BEHIND
 from store.reading import Filter
@@ -50,7 +50,7 @@ class Growth:
     """How much the log grew, measured over its times of recording."""
 
     bytes: int
-    """size of the log's database"""
+    """size of the log's database, and of its sealed files where these are on this machine"""
     bytes_log: int
     """the part of it that segments take, indexes included"""
     over: timedelta
@@ -122,7 +122,7 @@ def recorded_at(log: Log, position: int) -> datetime | None:
     if position > sealed:
         return recorded  # type: ignore[no-any-return]
     found = log.archive.page(position, sealed, Filter(), 1)
-    return found[0].recorded_at if found else recorded  # type: ignore[no-any-return]
+    return found[0].recorded_at if found else recorded
 
 
 def rows_behind(log: Log) -> Mapping[str, int]:
@@ -135,25 +135,37 @@ def rows_behind(log: Log) -> Mapping[str, int]:
 
 
 def growth(log: Log, window: timedelta) -> Growth | None:
-    """How much the database grew over the window before now; None in an empty log.
+    """How much the log grew over the window before now; None in an empty log.
 
-    The segments of the window are counted by their times of recording, which never go back in order of
-    position; the database's size is shared out by their part of the payloads.
+    The segments of the window that PostgreSQL holds are counted by their times of recording, which never go back in
+    order of position; the size is shared out by their part of all payloads, the sealed ones included.
     """
     size, size_log = _sizes(log)
     with log.connection() as connection:
-        ends = connection.execute("select min(position), max(position), clock_timestamp() from segments").fetchone()
-    assert ends is not None, "an aggregate has one row"
-    first, last, now = ends
-    if first is None:
+        row = connection.execute(
+            "select h.position, h.recorded_at, clock_timestamp(), a.sealed_position, "
+            "(select coalesce(sum(bytes), 0)::bigint from sealed_files) from log_head h, archive_head a"
+        ).fetchone()
+    assert row is not None, "a log has its one row"
+    last, newest, now, sealed_position, sealed = row
+    if last == 0:
         return None
-    begun_at = recorded_at(log, first)
-    assert begun_at is not None, "the first segment is there"
+    first = sealed_position + 1
+    begun_at = recorded_at(log, first) or newest  # where all is sealed, nothing came since the newest
     since = max(now - window, begun_at)
     over = max(now - since, timedelta(seconds=1))
     recent = _payload_bytes(log, _first_since(log, since, first, last + 1), last)
-    share = recent / max(1, _payload_bytes(log, first, last))
+    share = recent / max(1, _payload_bytes(log, first, last) + sealed)
+    size += sealed if sealed and _is_archive_local(log) else 0
     return Growth(size, size_log, over, share * size / (over / timedelta(days=1)))
+
+
+def _is_archive_local(log: Log) -> bool:
+    """Whether the sealed files take room on this machine, as far as can be told."""
+    try:
+        return log.archive.place().is_local
+    except (ArchiveUnavailable, BadRequest):
+        return False  # it is told as a finding of its own
 
 
 def schema(dsn: str, catalogue: Catalogue) -> Schema:

@@ -119,7 +119,7 @@ def _horizon(log: Log, free_bytes: int | None) -> Finding:
         return Finding(
             "disk horizon",
             Verdict.NOTE,
-            f"not known yet: the log has been recorded for {_span(grown.over)}; {_mib(grown.bytes)} now",
+            f"not known yet: there are {_span(grown.over)} to judge by; {_mib(grown.bytes)} now",
         )
     rate = f"{_mib(grown.bytes)} now, {_mib(grown.bytes_per_day)} a day over the last {_span(grown.over)}"
     if free_bytes is None:
