@@ -74,8 +74,17 @@ class Schema:
     """revisions that an upgrade would go through, with what each does"""
     row_tables: list[str]
     """row tables that an upgrade would add"""
+    outdated: list[str]
+    """row tables of an older version of their type, which an upgrade would have filled anew"""
     bytes: int
+    """size of the database"""
     bytes_log: int
+    """size of the log, sealed files included"""
+
+    @property
+    def is_to_migrate(self) -> bool:
+        """Whether there is something to upgrade."""
+        return bool(self.pending or self.row_tables or self.outdated)
 
 
 def settings(log: Log) -> Mapping[str, str]:
@@ -182,11 +191,22 @@ def schema(dsn: str, catalogue: Catalogue) -> Schema:
             server = connection.execute("show server_version").fetchone() or ("unknown",)
             is_ours = connection.execute("select to_regclass('alembic_version') is not null").fetchone() == (True,)
             row = connection.execute("select version_num from alembic_version").fetchone() if is_ours else None
-            known = connection.execute("select name from projections").fetchall() if row else []
-            sizes = connection.execute(
+            # The first revisions had no version there: theirs is 1.
+            known = (
+                connection.execute(
+                    "select name, coalesce((to_jsonb(p) ->> 'version')::integer, 1) from projections p"
+                ).fetchall()
+                if row
+                else []
+            )
+            size, hot = connection.execute(
                 "select pg_database_size(current_database()), "
                 "coalesce(pg_total_relation_size(to_regclass('segments')), 0)"
             ).fetchone() or (0, 0)
+            has_archive = connection.execute("select to_regclass('sealed_files') is not null").fetchone() == (True,)
+            (sealed,) = connection.execute(
+                "select coalesce(sum(bytes), 0)::bigint from sealed_files" if has_archive else "select 0"
+            ).fetchone() or (0,)
     except psycopg.Error as error:
         raise LogUnavailable(f"the database at {safe_dsn(dsn)} cannot be examined: {error}".strip()) from error
     revision = row[0] if row else None
@@ -197,9 +217,12 @@ def schema(dsn: str, catalogue: Catalogue) -> Schema:
         for each in (script.iterate_revisions(newest, revision or "base") if is_known else ())
         if each.revision != revision
     ]
-    names = {name for (name,) in known}
-    missing = sorted(str(each.type_name) for each in catalogue if each.type_name not in names)
-    return Schema(server[0], revision, newest, is_known, pending[::-1], missing, *sizes)
+    versions: dict[str, int] = dict(known)
+    missing = sorted(str(each.type_name) for each in catalogue if each.type_name not in versions)
+    outdated = sorted(
+        str(each.type_name) for each in catalogue if versions.get(each.type_name, each.version) < each.version
+    )
+    return Schema(server[0], revision, newest, is_known, pending[::-1], missing, outdated, size, hot + sealed)
 
 
 def _sizes(log: Log) -> tuple[int, int]:
