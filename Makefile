@@ -21,7 +21,7 @@ demo: $(VENV)/installed  ## real video to events, situations, an answer in SQL a
 	$(BIN)/vian demo
 
 test: $(VENV)/installed  ## the whole test suite on a real PostgreSQL
-	$(BIN)/python -m pytest --numprocesses auto --dist worksteal --cov --cov-report=term:skip-covered $(PYTEST_ARGS)
+	$(BIN)/python -m pytest --numprocesses auto --dist worksteal $(PYTEST_ARGS)
 
 faults: $(VENV)/installed  ## kills, stops, flipped bits and a full disk under load; FAULTS_ARGS="--rounds 20 --seed 1"
 	$(BIN)/python -m tests.faults.campaign $(FAULTS_ARGS)

@@ -23,9 +23,8 @@ import pyarrow as pa
 from benchmarks import references
 from benchmarks.measuring import Row, compared, rate
 from benchmarks.points import PRODUCER, points, row_batch, stream
-from events import EventType, encode, events_of
+from events import EventType, decode, encode, events_of
 from store import Log, Projector, SharedAppender, open_log, verify
-from store.decoding import decoded
 
 THREADS = 8
 EVENTS_READ = 1_000_000
@@ -186,21 +185,8 @@ def _producers(
 
 def _read(log: Log, plan: Plan) -> Iterator[Row]:
     """Catch-up to Arrow beside ADBC, verify beside reading, and what an event takes on disk."""
-    table = references.TypedTable(log.dsn)
-    total = plan.times(EVENTS_READ // 1000) * 1000
-    _fill(log, total, 1000)
-    for camera in range(total // 1000):
-        table.copy(row_batch(points(1000, camera % 20), camera, 1 + camera // 100 * 1000))
-
-    def to_arrow(_: int) -> float:
-        def work() -> None:
-            batches = [events.data for _, events in decoded(log.read_all(), log.catalogue)]  # type: ignore[union-attr]
-            assert pa.Table.from_batches(batches).num_rows == total
-
-        return rate(total, work)
-
-    adbc = ("ADBC", lambda _: rate(total, lambda: references.adbc_table(log.dsn, table.name)))
-    yield compared("catch-up read to Arrow, 1,000 a segment", "events/s", plan.rounds, to_arrow, adbc, 12)
+    yield from _caught_up(log, plan, 1000)
+    total = sum(head.sequence for head in log.streams())
 
     def read_only(_: int) -> float:
         return rate(total, lambda: sum(len(segment.payload) for segment in log.read_all()))
@@ -213,6 +199,29 @@ def _read(log: Log, plan: Plan) -> Iterator[Row]:
 
     yield compared("verify, 1,000 a segment", "events/s", plan.rounds, verified, ("reading the same", read_only), 0.5)
     yield _size(log, total)
+
+
+def _large(log: Log, plan: Plan) -> Iterator[Row]:
+    """Catch-up as after a flood, when commits are full."""
+    yield from _caught_up(log, plan, 10_000)
+
+
+def _caught_up(log: Log, plan: Plan, size: int) -> Iterator[Row]:
+    table = references.TypedTable(log.dsn)
+    total = plan.times(EVENTS_READ // size) * size
+    _fill(log, total, size)
+    for number in range(total // size):
+        table.copy(row_batch(points(size, number % 20), number, 1 + number // 100 * size))
+
+    def to_arrow(_: int) -> float:
+        def work() -> None:
+            batches = [decode(segment, log.catalogue).data for segment in log.read_all()]
+            assert pa.Table.from_batches(batches).num_rows == total
+
+        return rate(total, work)
+
+    adbc = ("ADBC", lambda _: rate(total, lambda: references.adbc_table(log.dsn, table.name)))
+    yield compared(f"catch-up read to Arrow, {size:,} a segment", "events/s", plan.rounds, to_arrow, adbc, 12)
 
 
 def _fill(log: Log, total: int, size: int) -> None:
@@ -266,7 +275,7 @@ def _project(log: Log, plan: Plan) -> Iterator[Row]:
         projector.close()
 
 
-MEASUREMENTS: tuple[Callable[[Log, Plan], Iterator[Row]], ...] = (_append, _shared, _read, _project)
+MEASUREMENTS: tuple[Callable[[Log, Plan], Iterator[Row]], ...] = (_append, _shared, _read, _large, _project)
 
 
 if __name__ == "__main__":

@@ -5,12 +5,13 @@ sealed one. Which position that is, the caller knows from a query of its own, so
 while a range moves from one to the other.
 """
 
+import copy
 import threading
 from collections import OrderedDict, deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import pyarrow as pa
 
@@ -67,6 +68,12 @@ class ColdTier:
         self._lock = threading.Lock()
         self._files: OrderedDict[str, SealedReader] = OrderedDict()
         self._groups: OrderedDict[tuple[str, int], pa.Table] = OrderedDict()
+
+    def through(self, rows: Rows) -> Self:
+        """The same, asking its index through other means; what is kept in memory is shared."""
+        other = copy.copy(self)
+        other._rows = rows
+        return other
 
     def head(self) -> ArchiveHead:
         """Where the archive is, and how far the log is sealed."""
@@ -130,17 +137,25 @@ class ColdTier:
             first = files[-1].last_position + 1
         return found
 
-    def changed_files(self, first: int = 1, last: int = _EVERYWHERE[1]) -> Iterator[SealedFileDamaged]:
+    def changed_files(self, files: Iterable[SealedFile], digested: int = 0) -> Iterator[SealedFileDamaged]:
         """What is wrong with each file that is not, to the byte, the one that was sealed, or is not as the index says.
 
         This covers what no chain does: the file's own structure, the columns for looking up, `recorded_at`, the index.
 
+        Args:
+            files: The files.
+            digested: Files up to this position are only looked at, whether they are there in their size.
+
         Raises:
             ArchiveUnavailable: The archive cannot be reached.
         """
-        for file in self.files(first, last):
+        for file in files:
             place = self.place()
             path = place.full(file.path)
+            if file.last_position <= digested:
+                if (strange := self._misplaced(file)) is not None:
+                    yield damaged(path, file.first_position, file.last_position, strange)
+                continue
             try:
                 sha256, size = place.digest(file.path)
             except FileNotFoundError:
@@ -151,6 +166,14 @@ class ColdTier:
                 yield damaged(path, file.first_position, file.last_position, reason)
             elif (strange := self._misindexed(file)) is not None:
                 yield SealedFileDamaged(UNKNOWN, file.first_position, 0, strange, file.last_position)
+
+    def _misplaced(self, file: SealedFile) -> str | None:
+        """What is seen to be wrong with a file without reading it; None where nothing is."""
+        size = self.place().size(file.path)
+        if size is None:
+            self.place().require()
+            return "is not there"
+        return None if size == file.bytes else f"has changed: it has {size} bytes, sealed was {file.bytes}"
 
     def _misindexed(self, file: SealedFile) -> str | None:
         """How the index differs from a file that is as it was sealed; None where it does not."""

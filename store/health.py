@@ -11,8 +11,10 @@ import psycopg
 from alembic.script import ScriptDirectory
 
 from events import Catalogue
-from store.errors import LogUnavailable
+from store.errors import ArchiveUnavailable, BadRequest, LogUnavailable
 from store.log import Log
+from store.projector import BEHIND
+from store.reading import Filter
 from store.schema import configuration, safe_dsn
 
 SETTINGS = (
@@ -48,7 +50,7 @@ class Growth:
     """How much the log grew, measured over its times of recording."""
 
     bytes: int
-    """size of the log's database"""
+    """size of the log's database, and of its sealed files where these are on this machine"""
     bytes_log: int
     """the part of it that segments take, indexes included"""
     over: timedelta
@@ -72,8 +74,17 @@ class Schema:
     """revisions that an upgrade would go through, with what each does"""
     row_tables: list[str]
     """row tables that an upgrade would add"""
+    outdated: list[str]
+    """row tables of an older version of their type, which an upgrade would have filled anew"""
     bytes: int
+    """size of the database"""
     bytes_log: int
+    """size of the log, sealed files included"""
+
+    @property
+    def is_to_migrate(self) -> bool:
+        """Whether there is something to upgrade."""
+        return bool(self.pending or self.row_tables or self.outdated)
 
 
 def settings(log: Log) -> Mapping[str, str]:
@@ -103,34 +114,67 @@ def clock(log: Log) -> Clock:
 
 
 def recorded_at(log: Log, position: int) -> datetime | None:
-    """When the first segment from a position on was recorded; None where there is none."""
+    """When the first segment from a position on was recorded, wherever it is; None where there is none.
+
+    Raises:
+        ArchiveUnavailable: It is sealed, and its file cannot be reached.
+        ChainBroken: It does not hold.
+    """
     with log.connection() as connection:
         row = connection.execute(
-            "select recorded_at from segments where position >= %s order by position limit 1", (position,)
+            "select sealed_position, (select recorded_at from segments where position >= %s order by position limit 1) "
+            "from archive_head",
+            (position,),
         ).fetchone()
-    return row[0] if row else None
+    assert row is not None, "an archive has its one row"
+    sealed, recorded = row
+    if position > sealed:
+        return recorded  # type: ignore[no-any-return]
+    found = log.archive.page(position, sealed, Filter(), 1)
+    return found[0].recorded_at if found else recorded
+
+
+def rows_behind(log: Log) -> Mapping[str, int]:
+    """The types whose row tables are being built apart from the others, and the position of each."""
+    return {
+        name.removeprefix(BEHIND): checkpoint.position
+        for name, checkpoint in log.checkpoints().items()
+        if name.startswith(BEHIND)
+    }
 
 
 def growth(log: Log, window: timedelta) -> Growth | None:
-    """How much the database grew over the window before now; None in an empty log.
+    """How much the log grew over the window before now; None in an empty log.
 
-    The segments of the window are counted by their times of recording, which never go back in order of
-    position; the database's size is shared out by their part of the payloads.
+    The segments of the window that PostgreSQL holds are counted by their times of recording, which never go back in
+    order of position; the size is shared out by their part of all payloads, the sealed ones included.
     """
     size, size_log = _sizes(log)
     with log.connection() as connection:
-        ends = connection.execute("select min(position), max(position), clock_timestamp() from segments").fetchone()
-    assert ends is not None, "an aggregate has one row"
-    first, last, now = ends
-    if first is None:
+        row = connection.execute(
+            "select h.position, h.recorded_at, clock_timestamp(), a.sealed_position, "
+            "(select coalesce(sum(bytes), 0)::bigint from sealed_files) from log_head h, archive_head a"
+        ).fetchone()
+    assert row is not None, "a log has its one row"
+    last, newest, now, sealed_position, sealed = row
+    if last == 0:
         return None
-    begun_at = recorded_at(log, first)
-    assert begun_at is not None, "the first segment is there"
+    first = sealed_position + 1
+    begun_at = recorded_at(log, first) or newest  # where all is sealed, nothing came since the newest
     since = max(now - window, begun_at)
     over = max(now - since, timedelta(seconds=1))
     recent = _payload_bytes(log, _first_since(log, since, first, last + 1), last)
-    share = recent / max(1, _payload_bytes(log, first, last))
+    share = recent / max(1, _payload_bytes(log, first, last) + sealed)
+    size += sealed if sealed and _is_archive_local(log) else 0
     return Growth(size, size_log, over, share * size / (over / timedelta(days=1)))
+
+
+def _is_archive_local(log: Log) -> bool:
+    """Whether the sealed files take room on this machine, as far as can be told."""
+    try:
+        return log.archive.place().is_local
+    except (ArchiveUnavailable, BadRequest):
+        return False  # it is told as a finding of its own
 
 
 def schema(dsn: str, catalogue: Catalogue) -> Schema:
@@ -147,11 +191,22 @@ def schema(dsn: str, catalogue: Catalogue) -> Schema:
             server = connection.execute("show server_version").fetchone() or ("unknown",)
             is_ours = connection.execute("select to_regclass('alembic_version') is not null").fetchone() == (True,)
             row = connection.execute("select version_num from alembic_version").fetchone() if is_ours else None
-            known = connection.execute("select name from projections").fetchall() if row else []
-            sizes = connection.execute(
+            # The first revisions had no version there: theirs is 1.
+            known = (
+                connection.execute(
+                    "select name, coalesce((to_jsonb(p) ->> 'version')::integer, 1) from projections p"
+                ).fetchall()
+                if row
+                else []
+            )
+            size, hot = connection.execute(
                 "select pg_database_size(current_database()), "
                 "coalesce(pg_total_relation_size(to_regclass('segments')), 0)"
             ).fetchone() or (0, 0)
+            has_archive = connection.execute("select to_regclass('sealed_files') is not null").fetchone() == (True,)
+            (sealed,) = connection.execute(
+                "select coalesce(sum(bytes), 0)::bigint from sealed_files" if has_archive else "select 0"
+            ).fetchone() or (0,)
     except psycopg.Error as error:
         raise LogUnavailable(f"the database at {safe_dsn(dsn)} cannot be examined: {error}".strip()) from error
     revision = row[0] if row else None
@@ -162,9 +217,12 @@ def schema(dsn: str, catalogue: Catalogue) -> Schema:
         for each in (script.iterate_revisions(newest, revision or "base") if is_known else ())
         if each.revision != revision
     ]
-    names = {name for (name,) in known}
-    missing = sorted(str(each.type_name) for each in catalogue if each.type_name not in names)
-    return Schema(server[0], revision, newest, is_known, pending[::-1], missing, *sizes)
+    versions: dict[str, int] = dict(known)
+    missing = sorted(str(each.type_name) for each in catalogue if each.type_name not in versions)
+    outdated = sorted(
+        str(each.type_name) for each in catalogue if versions.get(each.type_name, each.version) < each.version
+    )
+    return Schema(server[0], revision, newest, is_known, pending[::-1], missing, outdated, size, hot + sealed)
 
 
 def _sizes(log: Log) -> tuple[int, int]:

@@ -23,6 +23,7 @@ _SCHEMA = """
 create table if not exists drafts (
   id integer primary key autoincrement,
   stream text not null,
+  epoch integer not null,
   expected integer,
   event_count integer not null,
   schema_version integer not null,
@@ -36,7 +37,7 @@ create table if not exists drafts (
 ) strict
 """
 _COLUMNS = (
-    "stream, expected, event_count, schema_version, time_min_us, time_max_us, producer, producer_version, "
+    "stream, epoch, expected, event_count, schema_version, time_min_us, time_max_us, producer, producer_version, "
     "configuration_hash, payload, payload_hash"
 )
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
@@ -48,6 +49,8 @@ class Kept:
 
     id: int
     draft: Draft
+    epoch: int
+    """The life of the log in which its place was, or will be, written down."""
     expected: int | None
     """The sequence at which its stream stands before it; None while that is not known."""
 
@@ -91,16 +94,21 @@ class Journal:
         pages, free, size = (self._database.execute(f"pragma {name}").fetchone()[0] for name in names)
         return int((pages - free) * size)
 
-    def add(self, drafts: Sequence[Draft], expected: Sequence[int | None]) -> None:
+    def add(self, drafts: Sequence[Draft], expected: Sequence[int | None], epoch: int) -> None:
         """Keep the drafts behind those that are there; they are on the disk when this returns.
+
+        Args:
+            drafts: The drafts.
+            expected: For each the sequence at which its stream stands before it, where that is known.
+            epoch: The life of the log that this is about.
 
         Raises:
             LogUnavailable: The disk does not take them; none of them is kept.
         """
         with self._transaction("written"):
             self._database.executemany(
-                f"insert into drafts ({_COLUMNS}) values ({', '.join('?' * 11)})",
-                [_row(draft, sequence) for draft, sequence in zip(drafts, expected, strict=True)],
+                f"insert into drafts ({_COLUMNS}) values ({', '.join('?' * 12)})",
+                [_row(draft, epoch, sequence) for draft, sequence in zip(drafts, expected, strict=True)],
             )
         self.drafts_kept += len(drafts)
 
@@ -110,15 +118,16 @@ class Journal:
             rows = self._database.execute(f"select id, {_COLUMNS} from drafts order by id limit ?", (limit,)).fetchall()
         return [_kept(row) for row in rows]
 
-    def place(self, expected: Mapping[int, int]) -> None:
-        """Write down at which sequence the drafts of these ids stand, before they are sent.
+    def place(self, expected: Mapping[int, int], epoch: int) -> None:
+        """Write down at which sequence, of which life, the drafts of these ids stand, before they are sent.
 
         Raises:
             LogUnavailable: The disk does not take it.
         """
         with self._transaction("written"):
             self._database.executemany(
-                "update drafts set expected = ? where id = ?", [(sequence, id_) for id_, sequence in expected.items()]
+                "update drafts set expected = ?, epoch = ? where id = ?",
+                [(sequence, epoch, id_) for id_, sequence in expected.items()],
             )
 
     def remove(self, up_to: int) -> None:
@@ -155,16 +164,17 @@ class Journal:
             ) from error
 
 
-def _row(draft: Draft, expected: int | None) -> tuple[object, ...]:
+def _row(draft: Draft, epoch: int, expected: int | None) -> tuple[object, ...]:
     by = draft.producer
     times = (microseconds(draft.time_min), microseconds(draft.time_max))
     said = (by.name, by.version, by.configuration_hash)
     counts = (draft.event_count, draft.schema_version)
-    return (str(draft.stream), expected, *counts, *times, *said, draft.payload, draft.payload_hash)
+    return (str(draft.stream), epoch, expected, *counts, *times, *said, draft.payload, draft.payload_hash)
 
 
 def _kept(row: Sequence[object]) -> Kept:
-    id_, stream, expected, count, version, time_min, time_max, name, producer_version, config, payload, digest = row
+    id_, stream, epoch, expected, count, version, time_min, time_max, name, producer_version, config, *rest = row
+    payload, digest = rest
     draft = Draft(
         stream=StreamName.parse(str(stream)),
         event_count=count,  # type: ignore[arg-type]
@@ -175,4 +185,4 @@ def _kept(row: Sequence[object]) -> Kept:
         payload=payload,  # type: ignore[arg-type]
         payload_hash=digest,  # type: ignore[arg-type]
     )
-    return Kept(id_, draft, expected)  # type: ignore[arg-type]
+    return Kept(id_, draft, epoch, expected)  # type: ignore[arg-type]

@@ -142,8 +142,10 @@ class Transaction:
     ) -> Appended:
         """What became of a re-sent draft whose place lies in a sealed file: the file tells whether it is the same."""
         draft, epoch = drafts[index], epochs[index] if epochs else self._epoch
+        # Through this very connection: whoever holds one in a transaction must not wait for another.
+        archive = self._archive.through(lambda query, values: _fetched(self.connection, query, values))
         try:
-            head, stored = self._archive.holding((draft.stream, epoch), place.first_sequence)
+            head, stored = archive.holding((draft.stream, epoch), place.first_sequence)
             return acknowledged(
                 draft, place.first_sequence, head, stored, chain_hashes[index] if chain_hashes else None
             )
@@ -488,12 +490,7 @@ class Log:
     def _fetched(self, query: str, parameters: Mapping[str, Any]) -> list[tuple[Any, ...]]:
         """The rows that a query finds; None for a time that Python does not know."""
         with self.connection() as connection:
-            try:
-                return connection.execute(query, parameters, binary=True).fetchall()
-            except psycopg.DataError:
-                cursor = connection.cursor(binary=True)
-                cursor.adapters.register_loader("timestamptz", TimeOrNone)
-                return cursor.execute(query, parameters).fetchall()
+            return _fetched(connection, query, parameters)
 
     def _value(self, query: str) -> Any:
         return self._rows(query)[0][0]
@@ -545,6 +542,15 @@ def _append(
         raise append_error(error, drafts, expected) from error
     assert row is not None, "the function answers in one row"
     return append_answer(row)
+
+
+def _fetched(connection: psycopg.Connection[Any], query: str, parameters: Mapping[str, Any]) -> list[tuple[Any, ...]]:
+    try:
+        return connection.execute(query, parameters, binary=True).fetchall()
+    except psycopg.DataError:
+        cursor = connection.cursor(binary=True)
+        cursor.adapters.register_loader("timestamptz", TimeOrNone)
+        return cursor.execute(query, parameters).fetchall()
 
 
 @contextmanager

@@ -149,6 +149,15 @@ class Place:
             info = self._fs.get_file_info(self.full(path))
         return info.size if info.type == fs.FileType.File else None
 
+    def has_files(self, folder: str) -> bool:
+        """Whether a folder of the archive has anything in it.
+
+        Raises:
+            ArchiveUnavailable: The file system does not answer.
+        """
+        with self.reaching():
+            return bool(self._fs.get_file_info(fs.FileSelector(self.full(folder), allow_not_found=True)))
+
     def _new_folders(self, full: str) -> list[Path]:
         """The folders whose contents change when a local file is made: its own, and those above that are not there."""
         if not self.is_local:

@@ -5,6 +5,7 @@ Contract: `migrate` runs as the database's owner, is idempotent, and one process
 older version of its type gets the newer one's columns and is filled anew from the log.
 """
 
+import re
 from collections.abc import Iterable
 from importlib.resources import files
 from typing import Any
@@ -57,7 +58,7 @@ def migrate(dsn: str, catalogue: Iterable[type[EventType]], revision: str = "hea
         if isinstance(error.orig, psycopg.errors.InsufficientPrivilege):
             raise LogUnavailable(
                 f"the schema cannot be created at {safe_dsn(dsn)}: {_first_line(error)}. "
-                "Next: connect once as a role that may create tables and roles; an account that only reads is for psql"
+                f"Next: {_next_without_privilege(error.orig, dsn)}"
             ) from error
         raise SchemaMismatch(
             f"the schema cannot be created at {safe_dsn(dsn)}: {_first_line(error)}. "
@@ -202,6 +203,21 @@ def _change(connection: sa.Connection, table: sa.Table) -> None:
 
 def _view_of(connection: sa.Connection, table: sa.Table) -> str:
     return connection.dialect.identifier_preparer.quote(f"{table.name}_events")
+
+
+def _next_without_privilege(error: psycopg.Error, dsn: str) -> str:
+    """The step that helps an account that may not do what a migration wants.
+
+    Another database of the cluster may have brought the roles: then who made them, or a superuser, must share them.
+    """
+    # The statement that failed stands there in every language of the server.
+    if re.search(r"grant vian_\w+ to current_user", error.diag.context or ""):
+        owner = _parameters(dsn).get("user", "OWNER")
+        return (
+            "these roles came with another database of this server; as a superuser: "
+            f'grant vian_writer, vian_reader, vian_archiver to "{owner}" with admin option'
+        )
+    return "connect once as a role that may create tables and roles; an account that only reads is for psql"
 
 
 def _first_line(error: sa.exc.DBAPIError) -> str:

@@ -99,7 +99,7 @@ class Sealer:
 
         Args:
             log: The log.
-            location: Where sealed files go; the same for all files of a log.
+            location: Where sealed files go; the same for all files of a log, and of no other.
             file_bytes: About how large a file becomes; one segment at least goes into each.
             on_step: Told after each step: planned, writing, written, read back, removed.
         """
@@ -159,7 +159,8 @@ class Sealer:
 
     def _plan(self, before: datetime) -> _Plan | None:
         """The next file: which positions, in which row groups; None when nothing is old enough."""
-        at = self._head().sealed_position
+        head = self._head()
+        at = head.sealed_position
         groups: list[tuple[int, int]] = []
         total = group_bytes = 0
         for position, size in self._sizes(at + 1, before):
@@ -176,6 +177,8 @@ class Sealer:
             group_bytes += weight
         if not groups:
             return None
+        if not at and head.pending_path is None:
+            self._require_own_place()
         if groups[0][0] != at + 1:
             raise ChainBroken(
                 StreamName.of("unknown", "unknown", "unknown"),
@@ -185,6 +188,17 @@ class Sealer:
             )
         stem = f"{groups[0][0]:012d}-{groups[-1][1]:012d}-{secrets.token_hex(4)}"
         return _Plan(f"{FOLDER}/{stem}.parquet", groups)
+
+    def _require_own_place(self) -> None:
+        """Nothing, if no other log's sealed files are where this log's first one is to go.
+
+        Who reads the Parquet of two logs in one place counts twice what both hold, as a log and its restored copy do.
+        """
+        if self._place.has_files(FOLDER):
+            raise ArchiveUnavailable(
+                f"{self._place.full(FOLDER)} holds files of another log, and this log has sealed none yet: "
+                "wanted a place of its own. Next: vian archive --to a new folder or URL"
+            )
 
     def _sizes(self, first: int, before: datetime) -> Iterator[tuple[int, int]]:
         """Position and payload's size of the segments from a position on, up to the first that is too young."""

@@ -34,7 +34,7 @@ from events import (
     source_name,
     station_name,
 )
-from store.errors import LogUnavailable, SequenceConflict, StoreError
+from store.errors import ChainBroken, LogUnavailable, SequenceConflict, StoreError
 from store.journal import Journal, Kept
 from store.log import Log
 from store.writing import Appended
@@ -215,11 +215,13 @@ class SharedAppender:
 
         Raises:
             InvalidEvent: The item is not of the stream's type, or empty.
+            UnknownType: Its type is not registered.
             StoreError: The appender is closed, or has failed before.
         """
         kind = item.type if isinstance(item, EventBatch) else type(item)
         if kind.type_name != stream.type:
             raise InvalidEvent(f"stream {stream} takes {stream.type}, got {kind.type_name}")
+        self._log.catalogue.check_registered(kind)
         count, size = (len(item), item.data.nbytes) if isinstance(item, EventBatch) else (1, _EVENT_BYTES)
         if not count:
             raise InvalidEvent(f"stream {stream}: a submission holds one event or more, got an empty batch")
@@ -479,7 +481,8 @@ class SharedAppender:
         while self._journal.size_bytes > self._limits.journal_bytes_max and self._has_backlog():
             self._sleep()
             self._drain()
-        self._journal.add([each.draft for each in group.segments], [each.expected for each in group.segments])
+        expected = [each.expected for each in group.segments]
+        self._journal.add([each.draft for each in group.segments], expected, self._log.epoch)
         for each in group.segments:
             for submission in each.submissions:
                 submission.succeed(Stored(submission.count, None, None))
@@ -498,15 +501,36 @@ class SharedAppender:
             self._retry_at = 0.0
         except LogUnavailable as error:
             self._is_away(error)
+        except ChainBroken as error:
+            # What was sent before is sealed, and its file cannot be read: the journal keeps it until it can.
+            self._is_away(LogUnavailable(f"what the journal holds cannot be compared: {error}"))
 
     def _move(self, kept: Sequence[Kept]) -> None:
         """From the journal into the log: placed, sent, and only then forgotten."""
         assert self._journal is not None
-        segments = [_Ready(each.draft, [], each.expected) for each in kept]
-        self._place(segments)
-        self._journal.place({each.id: cast(int, ready.expected) for each, ready in zip(kept, segments, strict=True)})
-        self._append(segments)
+        new = [each for each in kept if not self._is_in_earlier_life(each)]
+        if new:
+            is_placed_here = [each.epoch == self._log.epoch for each in new]
+            segments = [
+                _Ready(each.draft, [], each.expected if is_here else None)
+                for each, is_here in zip(new, is_placed_here, strict=True)
+            ]
+            self._place(segments)
+            places = {each.id: cast(int, ready.expected) for each, ready in zip(new, segments, strict=True)}
+            self._journal.place(places, self._log.epoch)
+            self._append(segments)
         self._journal.remove(kept[-1].id)
+
+    def _is_in_earlier_life(self, kept: Kept) -> bool:
+        """Whether the log was restored since, and what it was restored from holds the draft already."""
+        if kept.epoch == self._log.epoch or kept.expected is None:
+            return False
+        there = next(self._log.read(kept.draft.stream, kept.expected + 1, epoch=kept.epoch), None)
+        return (
+            there is not None
+            and there.header.first_sequence == kept.expected + 1
+            and there.payload_hash == kept.draft.payload_hash
+        )
 
     def _end(self, error: BaseException) -> StoreError:
         """After what nobody expected: take no more, and tell those who wait."""

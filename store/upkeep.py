@@ -76,9 +76,9 @@ class RowTable:
     bytes: int
     """bytes on disk with indexes"""
     lag_segments: int
-    """segments of the type in the log that have no rows yet"""
+    """segments of the type in the log that have no rows yet; at least so many where some are in sealed files"""
     lag_s: float
-    """seconds since the oldest of these was recorded; 0 where there is none"""
+    """seconds since the oldest of these was recorded, of sealed ones at least so many; 0 where there is none"""
     rows_estimate: int
     """rows, counted where there are few, else as the planner estimates them"""
 
@@ -141,12 +141,22 @@ _LAG = """
 with standing as (
   select p.name, coalesce(b.position, c.position, 0) as position from projections p
   left join checkpoints c on c.name = %(name)s
-  left join checkpoints b on b.name = %(behind)s || p.name)
-select s.type, count(*), greatest(0, extract(epoch from clock_timestamp() - min(g.recorded_at)))::float8
-from segments g join streams s on s.id = g.stream_id join standing t on t.name = s.type
-where g.position > t.position and g.position > (select min(position) from standing)
-group by s.type
+  left join checkpoints b on b.name = %(behind)s || p.name), waiting as (
+  select s.type, count(*) as segments, min(g.recorded_at) as since
+  from segments g join streams s on s.id = g.stream_id join standing t on t.name = s.type
+  where g.position > t.position and g.position > (select min(position) from standing)
+  group by s.type
+  union all
+  select s.type, count(*), min(f.sealed_at)
+  from sealed_ranges r join sealed_files f on f.first_position = r.file
+  join streams s on s.id = r.stream_id join standing t on t.name = s.type
+  where r.last_position > t.position
+  group by s.type)
+select type, sum(segments)::bigint, greatest(0, extract(epoch from clock_timestamp() - min(since)))::float8
+from waiting group by type
 """
+"""Segments without rows by type, and since when: of sealed ones at least one in each file and stream, before it was
+sealed."""
 
 
 def _days(log: Log) -> list[_Day]:

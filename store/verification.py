@@ -8,7 +8,8 @@ two streams or of a recorded_at is found up to the newest checkpoint, and named 
 file is compared to the byte with what was sealed.
 
 It can begin behind what an earlier run found sound (`Verified`), once that is checked itself: the log
-must not end before it, and each stream must still stand there with the hash that it had.
+must not end before it, and each stream must still stand there with the hash that it had. Of a sealed file
+that the earlier run compared to the byte, only that it is there in its size is looked at again.
 """
 
 from collections.abc import Callable, Mapping
@@ -19,6 +20,7 @@ from events import Segment
 from store.audit import Audit, Covered
 from store.errors import ChainBroken, SealedFileDamaged
 from store.log import Log
+from store.sealed import SealedFile
 from store.verified import Verified
 from store.walk import UNKNOWN, pages
 
@@ -86,7 +88,7 @@ def verify(
             if on_segment is not None:
                 on_segment(segment)
         if save is not None and walk.is_sound and monotonic() - saved_at > _SAVE_SECONDS:
-            save(Verified.of(walk, audit.trails))
+            save(Verified.of(walk, audit.trails, start.digested))
             saved_at = monotonic()
     walk.go_to(end + 1)
     walk.position = end
@@ -95,7 +97,9 @@ def verify(
     for head in heads:
         walk.check_head(head)
     walk.faults += [fault for fault in outdated if fault.stream not in walk.broken]
-    walk.faults += _changed_files(log, start.position + 1, walk.faults)
+    files = log.archive.files()
+    walk.faults += _changed_files(log, files, start.digested, walk.faults)
+    digested = max((file.last_position for file in files), default=0)
     return Verification(
         walk.segments - start.segments,
         walk.events - start.events,
@@ -104,16 +108,18 @@ def verify(
         walk.all_broken(),
         start.position,
         audit.covered(),
-        Verified.of(walk, audit.trails) if walk.is_sound else None,
+        Verified.of(walk, audit.trails, digested) if walk.is_sound else None,
     )
 
 
-def _changed_files(log: Log, first: int, faults: list[ChainBroken]) -> list[SealedFileDamaged]:
+def _changed_files(
+    log: Log, files: list[SealedFile], digested: int, faults: list[ChainBroken]
+) -> list[SealedFileDamaged]:
     """The sealed files that differ from what was sealed, but for those that are told of already."""
     told = [fault.position or 0 for fault in faults if isinstance(fault, SealedFileDamaged)]
     return [
         changed
-        for changed in log.archive.changed_files(first)
+        for changed in log.archive.changed_files(files, digested)
         if not any((changed.position or 0) <= position <= changed.last_position for position in told)
     ]
 

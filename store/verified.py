@@ -32,6 +32,8 @@ class Verified:
     streams: Mapping[Place, tuple[int, bytes, int]]
     """sequence, chain hash and position of each stream's newest segment"""
     trails: Mapping[str, Trail] = field(default_factory=dict)
+    digested: int = 0
+    """Position up to which the sealed files were compared to the byte; a file that was sealed since was not."""
 
     @classmethod
     def nothing(cls) -> Self:
@@ -39,11 +41,11 @@ class Verified:
         return cls(0, NO_HASH, 0, 0, {})
 
     @classmethod
-    def of(cls, walk: Walk, trails: Mapping[str, Trail]) -> Self:
+    def of(cls, walk: Walk, trails: Mapping[str, Trail], digested: int) -> Self:
         """What a walk found sound so far."""
         streams = {place: (at.sequence, at.chain_hash, at.position) for place, at in walk.streams.items()}
         copies = {name: _trail(_trail_json(trail)) for name, trail in trails.items()}
-        return cls(walk.position, walk.order_hash, walk.segments, walk.events, streams, copies)
+        return cls(walk.position, walk.order_hash, walk.segments, walk.events, streams, copies, digested)
 
     def walk(self) -> Walk:
         """A walk that goes on from here."""
@@ -65,6 +67,7 @@ class Verified:
             "segments": self.segments,
             "events": self.events,
             "streams": [[str(n), e, s, h.hex(), p] for (n, e), (s, h, p) in self.streams.items()],
+            "digested": self.digested,
             "trails": [_trail_json(trail) for trail in self.trails.values()],
         }
         body = json.dumps(said, separators=(",", ":"))
@@ -88,7 +91,9 @@ class Verified:
         trails = {str(trail.station): trail for trail in map(_trail, said["trails"])}
         streams = {(StreamName.parse(n), e): (s, bytes.fromhex(h), p) for n, e, s, h, p in said["streams"]}
         order_hash = bytes.fromhex(said["order_hash"])
-        return cls(said["position"], order_hash, said["segments"], said["events"], streams, trails)
+        return cls(
+            said["position"], order_hash, said["segments"], said["events"], streams, trails, said.get("digested", 0)
+        )
 
 
 def _trail_json(trail: Trail) -> dict[str, Any]:

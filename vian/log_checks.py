@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 from datetime import datetime, timedelta
 from pathlib import Path
 
-from store import BackupDamaged, Log, health, maintenance
+from store import ArchiveUnavailable, BackupDamaged, ChainBroken, Log, health, maintenance
 from store.backup_files import restores
 from store.maintenance import Care
 from store.projector import NAME as PROJECTOR
@@ -119,7 +119,7 @@ def _horizon(log: Log, free_bytes: int | None) -> Finding:
         return Finding(
             "disk horizon",
             Verdict.NOTE,
-            f"not known yet: the log has been recorded for {_span(grown.over)}; {_mib(grown.bytes)} now",
+            f"not known yet: there are {_span(grown.over)} to judge by; {_mib(grown.bytes)} now",
         )
     rate = f"{_mib(grown.bytes)} now, {_mib(grown.bytes_per_day)} a day over the last {_span(grown.over)}"
     if free_bytes is None:
@@ -134,16 +134,24 @@ def _horizon(log: Log, free_bytes: int | None) -> Finding:
 
 
 def _lag(log: Log) -> Finding:
-    head, position = log.head(), log.checkpoint(PROJECTOR).position
-    lag = head - position
-    if lag == 0:
+    behind = health.rows_behind(log)
+    position = min([log.checkpoint(PROJECTOR).position, *behind.values()])
+    lag = log.head() - position
+    if lag <= 0:
         return Finding("row tables", Verdict.OK, "0 segments behind the log")
-    since = health.recorded_at(log, position + 1)
-    waits = f" (since {since:%Y-%m-%d %H:%M:%S} UTC)" if since else ""
+    try:
+        since = health.recorded_at(log, position + 1)
+        waits = f" (since {since:%Y-%m-%d %H:%M:%S} UTC)" if since else ""
+    except (ArchiveUnavailable, ChainBroken) as error:
+        waits = f" (since when cannot be told: {error})"
+    most = "up to " if behind else ""
+    built = f"; not built up yet: {', '.join(sorted(behind))}" if behind else ""
+    unknown = sorted(name for name in behind if name not in log.catalogue)
+    install = f"; install what brings {', '.join(unknown)}" if unknown else ""
     return Finding(
         "row tables",
         Verdict.NOTE,
-        f"{lag} segments behind the log{waits}. Next: vian project, or keep vian serve running",
+        f"{most}{lag} segments behind the log{waits}{built}. Next: vian project, or keep vian serve running{install}",
     )
 
 

@@ -18,9 +18,8 @@ import duckdb
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from events import EventBatch, EventType, Segment, UnknownType, schema_of, with_envelope
+from events import EventBatch, EventType, Segment, UnknownType, decode, schema_of, with_envelope
 from store import Log
-from store.decoding import decoded
 from vian.errors import WrongUsage
 
 logger = logging.getLogger(__name__)
@@ -131,7 +130,7 @@ def _rows(log: Log, event_type: type[EventType], scope: Scope) -> pa.Table:
     fields = [pa.field(field.name, field.type) for field in payload]
     schema = pa.schema([*_FRONT, *fields, ("epoch", pa.int32())])
     batches, unknown = [], Counter[str]()
-    for segment, events in decoded(_segments(log, [event_type.type_name], scope), log.catalogue):
+    for segment, events in _decoded(log, [event_type.type_name], scope):
         if isinstance(events, UnknownType):
             unknown[str(events)] += segment.header.event_count
         else:
@@ -143,8 +142,8 @@ def _rows(log: Log, event_type: type[EventType], scope: Scope) -> pa.Table:
 
 def _events(log: Log, scope: Scope) -> pa.Table:
     """The envelope of all events, those of unknown types included."""
-    segments = decoded(_segments(log, None, scope), log.catalogue)
-    return pa.Table.from_batches([_envelope(segment, events) for segment, events in segments], schema=_EVENTS)
+    batches = [_envelope(segment, events) for segment, events in _decoded(log, None, scope)]
+    return pa.Table.from_batches(batches, schema=_EVENTS)
 
 
 def _envelope(segment: Segment, events: EventBatch | UnknownType) -> pa.RecordBatch:
@@ -181,6 +180,15 @@ def _placed(batch: pa.RecordBatch, segment: Segment) -> pa.RecordBatch:
     epoch = pa.repeat(pa.scalar(segment.header.epoch, pa.int32()), count)
     placed = batch.append_column("position", position).append_column("recorded_at", recorded_at)
     return placed.append_column("epoch", epoch)
+
+
+def _decoded(log: Log, types: Sequence[str] | None, scope: Scope) -> Iterator[tuple[Segment, EventBatch | UnknownType]]:
+    """The segments in scope, each with its events, or with why this program does not know them."""
+    for segment in _segments(log, types, scope):
+        try:
+            yield segment, decode(segment, log.catalogue)
+        except UnknownType as error:
+            yield segment, error
 
 
 def _segments(log: Log, types: Sequence[str] | None, scope: Scope) -> Iterator[Segment]:

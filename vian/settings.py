@@ -82,6 +82,12 @@ class Settings(BaseSettings):
     """how long a segment stays in PostgreSQL before `vian archive` seals it, in days"""
     archive_file_mb: Annotated[int, Field(ge=1)] = 64
     """about how large a sealed file becomes, in MB"""
+    append_window_ms: Annotated[float, Field(ge=0, le=60_000)] = 100.0
+    """longest wait of what live extractors append for others to share a commit with, in milliseconds"""
+    append_events_max: Annotated[int, Field(ge=1)] = 10_000
+    """events at which such a commit does not wait for the window"""
+    journal: HomePath | None = None
+    """file that keeps what live extractors append while the database is away; in data_dir by default"""
     database_wait_s: Annotated[float, Field(ge=0)] = 60.0
     """how long an append waits for a database that is away, in seconds"""
 

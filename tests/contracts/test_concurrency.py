@@ -6,6 +6,7 @@ from events import Segment, StreamName, decode
 from store import Log, verify
 from tests.contracts.writers import SHARED, append_and_wait, append_many, follow, frame, own_stream, started
 from tests.store.samples import GATE, append
+from tests.store.tiered import sealing_meanwhile
 
 WRITERS = 8
 READERS = 3
@@ -33,7 +34,7 @@ def assert_gapless(segments: list[Segment]) -> None:
 
 def test_readers_see_every_position_once_in_order_while_processes_write(log: Log) -> None:
     wanted = 2 * WRITERS * EVENTS
-    with ExitStack() as running:
+    with sealing_meanwhile(log), ExitStack() as running:
         readers = [running.enter_context(started(follow, log.dsn, f"reader-{n}", wanted)) for n in range(READERS)]
         writers = [running.enter_context(started(append_many, log.dsn, n, EVENTS)) for n in range(WRITERS)]
         for process in (*readers, *writers):

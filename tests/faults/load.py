@@ -38,7 +38,8 @@ _SCHEMA = schema_of(TrackPoint)
 
 def opened(data_dir: Path) -> Log:
     """The log of a data directory that was migrated before."""
-    logging.getLogger("psycopg").setLevel(logging.CRITICAL)  # what it loses is what we take away
+    for name in ("psycopg", "store.shared"):
+        logging.getLogger(name).setLevel(logging.CRITICAL)  # what they lose is what we take away
     server = EmbeddedServer(data_dir)
     return Log(server.dsn, Catalogue.shipped(), server)
 

@@ -22,7 +22,7 @@ def _regex(tree: Tree) -> str:
     return f"(?:{_regex(body)}){{{least},{'' if most is None else most}}}{'' if greedy else '?'}"
 
 
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=200, deadline=None)
 @given(tree=trees("ABC", leaves=7), text=st.text("abcd", max_size=14))
 def test_spans_are_those_of_re(tree: Tree, text: str) -> None:
     assume(not has_empty_body(tree))

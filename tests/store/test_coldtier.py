@@ -3,6 +3,7 @@
 import random
 import shutil
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from datetime import timedelta
 from pathlib import Path
 
@@ -18,10 +19,13 @@ from store import (
     Projector,
     SealedFileDamaged,
     Subscription,
+    Verified,
     coldtier,
     sealing,
     verify,
 )
+from store.log import CONNECTIONS_MAX
+from store.places import Place
 from store.reading import Filter
 from store.sealing import Sealer
 from tests.conftest import MakeLog
@@ -267,6 +271,55 @@ def test_a_file_that_is_gone_or_cut_off_is_named_with_the_next_step(
         assert len(list(log.read_all())) == 12, "the file was brought back while the log was open"
 
 
+@pytest.mark.parametrize("harm", [Path.unlink, lambda path: path.write_bytes(path.read_bytes()[:-4])])
+def test_a_verification_that_goes_on_still_misses_files_that_were_verified_before(
+    filled: Log, sealed: Path, harm: Callable[[Path], object]
+) -> None:
+    before = verify(filled).verified
+    assert before is not None
+    path = sorted((sealed / "_sealed").glob("*"))[1]
+    copy = path.read_bytes()
+    harm(path)
+    with fresh(filled) as log:
+        (fault,) = verify(log, before=before).broken
+        assert isinstance(fault, SealedFileDamaged)
+        assert path.name in str(fault)
+        path.write_bytes(copy)
+        again = verify(log, before=before)
+        assert (again.is_sound, again.segments) == (True, 0)
+        sealed.rename(sealed.with_name(f"{sealed.name}-elsewhere"))
+        with pytest.raises(ArchiveUnavailable, match="is not at"):
+            verify(log, before=before)
+
+
+def test_a_verification_that_goes_on_reads_each_file_that_was_sealed_since(
+    filled: Log, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    read: list[str] = []
+    digest = Place.digest
+
+    def noted(place: Place, path: str) -> tuple[bytes, int]:
+        read.append(path)
+        return digest(place, path)
+
+    monkeypatch.setattr(Place, "digest", noted)
+    before = verify(filled).verified
+    assert before is not None
+    seal_all(filled, tmp_path)
+    read.clear()
+    after = verify(filled, before=Verified.from_text(before.to_text("this"), "this"))
+    assert after.segments == 0
+    assert after.verified is not None
+    assert read == [path for (path,) in query(filled, "select path from sealed_files order by first_position")]
+    read.clear()
+    assert verify(filled, before=Verified.from_text(after.verified.to_text("this"), "this")).is_sound
+    assert read == []
+    path = tmp_path / query(filled, "select max(path) from sealed_files")[0][0]
+    flip(path, path.stat().st_size // 2, 0)
+    (fault,) = verify(filled, before=before).broken
+    assert path.name in str(fault)
+
+
 def test_an_archive_that_is_away_is_told_and_can_come_back(filled: Log, sealed: Path) -> None:
     moved = sealed.with_name("elsewhere")
     sealed.rename(moved)
@@ -341,3 +394,14 @@ def test_an_appender_that_says_sealed_events_again_stores_nothing_twice(log: Log
     assert [segment.header.first_sequence for segment in log.read(GATE)] == [1, 3, 5]
     assert query(log, "select count(*) from segments") == [(0,)]
     assert verify(log).is_sound
+
+
+def test_more_threads_than_connections_that_send_sealed_segments_again_do_not_wait_for_each_other(
+    log: Log, tmp_path: Path
+) -> None:
+    append(log, GATE, 2, 2)
+    seal_all(log, tmp_path)
+    sent = [draft(GATE, 1, 2), draft(GATE, 3, 4)]
+    with ThreadPoolExecutor(3 * CONNECTIONS_MAX) as pool:
+        answers = [pool.submit(log.append, sent, [0, 2]) for _ in range(3 * CONNECTIONS_MAX)]
+        assert all(each.was_there for answer in answers for each in answer.result(30))

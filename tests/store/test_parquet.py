@@ -1,6 +1,7 @@
 """The decoded Parquet beside the sealed files, as DuckDB reads it, which knows nothing of ViAn."""
 
 import json
+import re
 from collections.abc import Iterator
 from datetime import timedelta
 from pathlib import Path
@@ -10,11 +11,13 @@ import duckdb
 import pytest
 
 from events import SHIPPED, Catalogue, StreamName, TrackPoint, batch_of, encode, schema_of
-from store import Log, parquet
+from store import Log, open_log, parquet
 from store.parquet import project, waiting
 from tests.conftest import MakeLog
 from tests.events.plugged import VehicleWeighed
 from tests.store.samples import GATE, NOON, ONE_OF_EACH, PRODUCER, append, draft, draft_of, owner, point, query
+from tests.store.test_archive_reference import PAGE
+from tests.store.test_rebuild import NEW, OLD, beep, louder
 from tests.store.tiered import seal_all
 
 MIDNIGHT = NOON + timedelta(hours=12)
@@ -112,6 +115,24 @@ def test_a_type_that_is_unknown_here_leaves_the_sealed_file_complete_and_is_told
         again = project(knowing, file)
     assert (again.events, again.segments_skipped, again.note, len(again.paths)) == (3, 0, None, 2)
     assert query(log, "select events, segments_skipped from archive_projections") == [(3, 0)]
+
+
+def test_files_of_two_versions_are_read_together_as_the_page_says(
+    make_log: MakeLog, tmp_path: Path, duck: duckdb.DuckDBPyConnection
+) -> None:
+    log = make_log(OLD)
+    beep(log, "low")
+    archived(log, tmp_path)
+    with open_log(dsn=log.dsn, catalogue=NEW) as newer:
+        louder(newer, "high")
+        archived(newer, tmp_path)
+        assert sorted(path.name.split(".")[1] for path in tmp_path.glob("beep/**/*.parquet")) == ["v1", "v2"]
+        (call,) = re.findall(r"from (read_parquet\('archive/track_point.*\))", PAGE)
+        table = call.replace("archive/track_point", f"{tmp_path}/beep")
+        assert duck.sql(f"select tone, loudness_db is null from {table} order by all").fetchall() == [
+            ("high", False),
+            ("low", True),
+        ]
 
 
 def test_many_files_are_written_few_at_a_time(log: Log, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,6 +1,7 @@
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from importlib import resources
+from pathlib import Path
 from typing import Any
 
 import psycopg
@@ -19,6 +20,7 @@ from store.tables import metadata, projection_table
 from store.writing import APPEND
 from tests.conftest import Server
 from tests.store.samples import GATE, NOON, PRODUCER, YARD, append, draft_of, on_both, owner, points, query
+from tests.store.tiered import seal_all
 
 
 @pytest.fixture
@@ -298,6 +300,38 @@ def test_a_role_that_may_make_roles_and_tables_can_set_up_its_own_database(serve
             connection.execute("drop role if exists vian_writer, vian_reader, vian_archiver, founder, stranger")
         for role in taken:
             server.execute(f"alter role {role}_kept rename to {role}")
+
+
+@on_both
+def test_a_schema_that_was_taken_from_everybody_is_shared_with_the_roles(empty: str, tmp_path: Path) -> None:
+    with psycopg.connect(empty, autocommit=True) as connection:
+        connection.execute("revoke all on schema public from public")
+    with open_log(dsn=empty) as log:
+        append(log, GATE, 2)
+        seal_all(log, tmp_path)
+        with psycopg.connect(empty) as connection:
+            connection.execute("set role vian_reader")
+            assert connection.execute("select count(*) from track_point").fetchone() == (0,)
+
+
+def test_an_owner_to_whom_the_roles_of_another_database_are_not_granted_is_told_what_helps(
+    server: Server, empty: str
+) -> None:
+    name = sa.make_url(empty).database
+    server.execute("create role founder login createrole", f"alter database {name} owner to founder")
+    as_founder = sa.make_url(empty).set(username="founder").render_as_string(hide_password=False)
+    step = 'grant vian_writer, vian_reader, vian_archiver to "founder" with admin option'
+    try:
+        with pytest.raises(LogUnavailable, match=f"Next: .*as a superuser: {step}$"):
+            open_log(dsn=as_founder)
+        server.execute(step)
+        with open_log(dsn=as_founder) as log:
+            append(log, GATE, 2)
+    finally:
+        with psycopg.connect(empty, autocommit=True) as connection:
+            connection.execute("drop owned by founder cascade")
+            connection.execute(f"alter database {name} owner to postgres")
+            connection.execute("drop role founder")
 
 
 def test_a_role_that_may_make_nothing_is_told_what_to_do(server: Server, empty: str) -> None:

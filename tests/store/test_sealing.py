@@ -10,7 +10,7 @@ import psycopg
 import pyarrow.parquet as pq
 import pytest
 
-from events import Catalogue, StreamName
+from events import Catalogue
 from store import ArchiveUnavailable, ChainBroken, Log, LogUnavailable, StoreError, sealing, verify
 from store.parquet import project, waiting
 from store.sealing import Sealer, archiver, outlook
@@ -308,13 +308,18 @@ def test_the_archive_of_a_log_is_at_one_place(filled: Log, tmp_path: Path) -> No
     assert not (tmp_path / "two").exists()
 
 
-def test_two_logs_may_share_a_folder(make_log: MakeLog, tmp_path: Path) -> None:
-    logs = [make_log(), make_log()]
-    for number, log in enumerate(logs):
-        append(log, StreamName.of("brno", f"camera-{number}", "track_point"), 2)
-        seal(log, tmp_path)
-    assert len(sealed_files(tmp_path)) == 2
-    assert all(verify(log).is_sound for log in logs)
+def test_two_logs_do_not_share_a_place(make_log: MakeLog, tmp_path: Path) -> None:
+    one, other = make_log(), make_log()
+    for log in (one, other):
+        append(log, GATE, 2)
+    seal(one, tmp_path)
+    with pytest.raises(ArchiveUnavailable, match=r"/_sealed holds files of another log.*Next: vian archive --to a new"):
+        seal(other, tmp_path)
+    assert len(sealed_files(tmp_path)) == 1
+    assert in_postgresql(other) == [1]
+    assert seal(other, tmp_path / "own") == [(1, 1)]
+    append(one, GATE, 2)
+    assert seal(one, tmp_path) == [(2, 2)]
 
 
 # Re-sent.

@@ -9,12 +9,13 @@ from pathlib import Path
 import psycopg
 import pytest
 
-from events import InvalidEvent, Producer, StreamName, TrackPoint, batch_of_type, decode
+from events import EventType, InvalidEvent, Producer, StreamName, TrackPoint, UnknownType, batch_of_type, decode
 from store import Log, LogUnavailable, SharedAppender, StoreError, verify
 from store.journal import Journal
 from store.shared import Limits, Receipt
 from tests.conftest import Server
-from tests.store.samples import GATE, PRODUCER, YARD, append, on_both, owner, point, points
+from tests.store.samples import GATE, NOON, PRODUCER, YARD, append, draft, on_both, owner, point, points
+from tests.store.tiered import seal_all
 
 WAIT_S = 30
 QUICK = Limits(window_s=0.01)
@@ -24,6 +25,10 @@ PATIENT = Limits(window_s=60, events_max=1000)
 
 def frames(log: Log, stream: StreamName = GATE) -> list[int]:
     return [n for s in log.read(stream) for n in decode(s, log.catalogue).data.column("frame").to_pylist()]
+
+
+class Ping(EventType, type="shared_ping", version=1):
+    """A type that nobody registered."""
 
 
 class Outages:
@@ -320,6 +325,47 @@ def test_a_kill_between_log_and_journal_stores_nothing_twice(
         pass
     assert frames(log) == [1, 2, 3, 4, 5]
     assert journal.drafts_kept == 0
+
+
+def test_a_journal_that_outlives_a_restore_stores_what_the_backup_lacks_and_nothing_twice(
+    log: Log, journal: Journal
+) -> None:
+    held, lacking = draft(GATE, 1, 3), draft(GATE, 4, 5)
+    log.append([held], [0])
+    journal.add([held, lacking, draft(YARD, 1, 1)], [0, 3, None], log.epoch)
+    with owner(log) as connection:
+        connection.execute("update log_head set epoch = 2")  # as a restore does
+    with Log(log.dsn, log.catalogue) as restored, SharedAppender(restored, limits=QUICK, journal=journal):
+        pass
+    lives = [(head.stream, head.epoch, head.sequence) for head in log.streams()]
+    assert lives == [(GATE, 1, 3), (GATE, 2, 2), (YARD, 2, 1)]
+    assert journal.drafts_kept == 0
+
+
+def test_a_sealed_file_that_cannot_be_read_keeps_the_journal_waiting(
+    log: Log, journal: Journal, tmp_path: Path
+) -> None:
+    log.append([draft(GATE, 1, 3)], [0])
+    seal_all(log, tmp_path / "archive")
+    (sealed,) = (tmp_path / "archive").rglob("*.parquet")
+    sealed.rename(tmp_path / "away")
+    journal.add([draft(GATE, 1, 3)], [0], log.epoch)
+    with SharedAppender(log, limits=QUICK, journal=journal) as appender:
+        assert not appender.submit(GATE, points(4, 5), PRODUCER).result(WAIT_S).is_in_log
+        while appender.standing().away is None:
+            pass
+        assert "cannot be compared" in str(appender.standing().away)
+        (tmp_path / "away").rename(sealed)
+    with SharedAppender(log, limits=QUICK, journal=journal):
+        pass
+    assert frames(log) == [1, 2, 3, 4, 5]
+
+
+def test_an_event_of_a_type_that_is_not_registered_is_refused(log: Log) -> None:
+    stream = StreamName.of("brno", "gate", Ping.type_name)
+    with SharedAppender(log, limits=QUICK) as appender, pytest.raises(UnknownType, match="is not registered here"):
+        appender.submit(stream, Ping(time=NOON), PRODUCER)
+    assert log.streams() == []
 
 
 def test_a_journal_that_is_full_makes_submissions_wait(log: Log, outages: Outages, journal: Journal) -> None:

@@ -1,6 +1,7 @@
 """Retention, partitions ahead, closed days, and how the row tables stand."""
 
 from datetime import UTC, date, datetime, timedelta
+from pathlib import Path
 
 import psycopg
 import pytest
@@ -9,6 +10,7 @@ from events import ProcessFinished, batch_of, encode
 from store import Log, Projector, RowPolicy, RowTable, Upkeep, maintain, row_tables
 from tests.store.samples import GATE, NOON, PRODUCER, append, draft_of, on_both, owner, point, query
 from tests.store.test_projector import assert_rows_equal_events, project
+from tests.store.tiered import seal_all
 
 DAY = timedelta(days=1)
 LATER = datetime(2100, 1, 1, tzinfo=UTC)
@@ -231,6 +233,31 @@ def test_the_status_says_how_each_table_stands(log: Log) -> None:
     made.catch_up()
     (table,) = [each for each in row_tables(log) if each.type == "track_point"]
     assert (table.is_behind, table.position, table.lag_segments, table.rows_estimate) == (False, 4, 0, 6)
+
+
+@on_both
+def test_the_status_counts_what_is_sealed_too(log: Log, tmp_path: Path) -> None:
+    points_of_days(log, 0, 1)
+    points_of_days(log, 2)
+    log.append([draft_of(ProcessFinished(time=NOON, process="p", frames=1, events=1, gaps=0))])
+    project(log)
+    seal_all(log, tmp_path, file_bytes=1)
+    tables = {table.type: table for table in row_tables(log)}
+    assert {table.lag_segments for table in tables.values()} == {0}
+    Projector(log).rebuild("track_point")
+    points_of_days(log, 3)
+    tables = {table.type: table for table in row_tables(log)}
+    assert (tables["track_point"].is_behind, tables["track_point"].lag_segments) == (True, 3)
+    assert tables["track_point"].lag_s > 0
+    project(log)
+    seal_all(log, tmp_path)
+    assert {table.lag_segments for table in row_tables(log)} == {0}
+    # A projector that begins anew has all before it, and nothing of it is in PostgreSQL.
+    with log.connection() as connection:
+        connection.execute("update checkpoints set position = 0")
+    tables = {table.type: table for table in row_tables(log)}
+    assert [tables[name].lag_segments for name in ("track_point", "process_finished", "rule_deployed")] == [3, 1, 0]
+    assert tables["process_finished"].lag_s > 0
 
 
 def test_rows_of_a_large_table_are_estimated(log: Log, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,9 +8,11 @@ from pathlib import Path
 import pytest
 import sqlalchemy as sa
 
-from store import Log, back_up, maintenance, note_restored, restore
+from store import Log, Projector, back_up, maintenance, note_restored, restore
+from store.sealing import Sealer
 from tests.conftest import MakeLog, Server
-from tests.store.samples import on_both, owner
+from tests.store.samples import on_both, owner, query
+from tests.store.tiered import seal_all
 from tests.vian.samples import append, points, reopened
 from vian.findings import Verdict
 from vian.log_checks import check_log
@@ -135,12 +137,58 @@ def test_only_the_newest_growth_counts(log: Log) -> None:
     assert idle.startswith("more than 10 years; ")
 
 
+def test_what_is_sealed_is_no_new_growth(log: Log, tmp_path: Path) -> None:
+    age_by_a_day_each(log, 20)
+
+    def days_left() -> int:
+        return int(findings(log, free=200 * MIB)["disk horizon"][1].removeprefix("full in ").split()[0])
+
+    before = days_left()
+    list(Sealer(log, str(tmp_path)).seal(datetime.now(UTC) - timedelta(days=9.5)))
+    # Sealed files are larger than the payloads in them.
+    assert before <= days_left() < 2 * before
+    assert query(log, "select count(*) from segments") == [(10,)]
+
+
+def test_a_log_that_is_sealed_wholly_is_not_empty(log: Log, tmp_path: Path) -> None:
+    append(log, points(1))
+    seal_all(log, tmp_path)
+    assert findings(log)["disk horizon"][1].startswith("not known yet: ")
+    with owner(log) as connection:
+        connection.execute("update log_head set recorded_at = now() - interval '3 days'")
+    verdict, text = findings(log, free=MIB)["disk horizon"]
+    assert verdict is Verdict.OK
+    assert "0 MiB a day over the last 3 days" in text
+
+
 def test_a_log_of_an_hour_has_no_horizon_yet(log: Log) -> None:
     assert findings(log)["disk horizon"] == (Verdict.OK, "the log is empty")
     append(log, points(1))
     verdict, text = findings(log, free=1)["disk horizon"]
     assert verdict is Verdict.NOTE
-    assert text.startswith("not known yet: the log has been recorded for ")
+    assert text.startswith("not known yet: there are ")
+
+
+def test_the_row_tables_are_as_far_as_the_type_that_is_furthest_behind(log: Log, tmp_path: Path) -> None:
+    for number in range(3):
+        append(log, points(1, first_frame=number))
+    projector = Projector(log)
+    projector.catch_up()
+    assert findings(log)["row tables"] == (Verdict.OK, "0 segments behind the log")
+    projector.rebuild("track_point")
+    began = next(log.read_all()).recorded_at
+    seal_all(log, tmp_path / "archive")
+    verdict, text = findings(log)["row tables"]
+    assert verdict is Verdict.NOTE
+    assert text == (
+        f"up to 3 segments behind the log (since {began:%Y-%m-%d %H:%M:%S} UTC); not built up yet: track_point. "
+        "Next: vian project, or keep vian serve running"
+    )
+    (tmp_path / "archive").rename(tmp_path / "elsewhere")
+    verdict, text = findings(log)["row tables"]
+    assert verdict is Verdict.NOTE
+    assert "since when cannot be told" in text
+    assert f"is not at {tmp_path}/archive" in text
 
 
 def test_a_log_without_a_backup_is_told_to_make_one(log: Log) -> None:

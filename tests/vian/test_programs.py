@@ -30,7 +30,7 @@ pytestmark = pytest.mark.slow
 
 VIAN = (sys.executable, "-m", "vian")
 SECONDS_MAX = 60.0
-KILLS = int(os.environ.get("VIAN_KILLS", "3"))
+KILLS = int(os.environ.get("VIAN_KILLS", "2"))
 
 
 @contextmanager

@@ -7,9 +7,10 @@ import psycopg
 import pytest
 
 from events import SHIPPED, Catalogue, StreamName, batch_of, encode
-from store import Log, Projector, decoding
+from store import Log, Projector
 from tests.events.plugged import VehicleWeighed
 from tests.vian.samples import GATE, PRODUCER, START, YARD, append, points, reopened
+from vian import querying
 from vian.errors import WrongUsage
 from vian.querying import Scope, query
 
@@ -112,13 +113,13 @@ def test_a_scope_prunes_by_time_and_source(filled: Log) -> None:
 
 def test_only_the_types_that_a_query_names_are_decoded(filled: Log, monkeypatch: pytest.MonkeyPatch) -> None:
     seen: list[str] = []
-    decode: Callable[..., Any] = decoding.decode
+    decode: Callable[..., Any] = querying.decode
 
     def counted(segment: Any, catalogue: Catalogue) -> Any:
         seen.append(str(segment.stream))
         return decode(segment, catalogue)
 
-    monkeypatch.setattr(decoding, "decode", counted)
+    monkeypatch.setattr(querying, "decode", counted)
     assert rows(filled, "select count(*) as n from track_ended") == [{"n": 0}]
     assert seen == []
     rows(filled, "select count(*) from track_point")

@@ -65,7 +65,7 @@ def test_a_home_written_as_a_tilde_is_the_users(monkeypatch: pytest.MonkeyPatch)
 
 def test_an_unknown_key_is_refused_with_those_that_are_known() -> None:
     Path("vian.toml").write_text("prot = 8470\n")
-    with pytest.raises(WrongUsage, match=r"vian.toml: there is no setting 'prot'; known: archive, .*, central, .*"):
+    with pytest.raises(WrongUsage, match=r"there is no setting 'prot'; known: append_events_max, .*, central, .*"):
         load_settings()
 
 

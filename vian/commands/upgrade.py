@@ -61,7 +61,7 @@ def _upgrade(settings: Settings, data_dir: Path | None, *, is_check: bool) -> It
             catalogue = load_catalogue()
             found = health.schema(address, catalogue)
             yield from _findings(found, settings.data_dir if is_embedded else None)
-            if not is_check and found.is_known and (found.pending or found.row_tables):
+            if not is_check and found.is_known and found.is_to_migrate:
                 migrate(address, catalogue)
                 yield Finding("upgraded", Verdict.OK, f"the log is at revision {found.newest} now")
     except WrongMajor as error:
@@ -94,6 +94,8 @@ def _findings(found: Schema, data_dir: Path | None) -> Iterator[Finding]:
         yield Finding("would run" if found.revision else "would make", Verdict.NOTE, f"revision {revision}: {what}")
     if found.row_tables and found.revision:
         yield Finding("would add", Verdict.NOTE, f"row tables {', '.join(found.row_tables)}")
+    if found.outdated:
+        yield Finding("would rebuild", Verdict.NOTE, f"rows of {', '.join(found.outdated)}, of a newer version now")
     yield _room(found, data_dir)
 
 
@@ -107,7 +109,7 @@ def _revision(found: Schema) -> Finding:
         )
     if found.revision is None:
         return Finding("schema", Verdict.NOTE, f"there is no log in the database yet; it would get {found.newest}")
-    if found.pending or found.row_tables:
+    if found.is_to_migrate:
         return Finding(
             "schema",
             Verdict.NOTE,

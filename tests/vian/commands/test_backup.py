@@ -18,7 +18,9 @@ from store import Log, backup_files, maintenance, make_key, verify
 from store.embedded import EmbeddedServer
 from store.schema import configuration, migrate
 from tests.conftest import MakeLog, Server
+from tests.store.samples import owner, query
 from tests.store.test_schema import run as run_migration
+from tests.store.tiered import seal_all
 from tests.vian.conftest import Run
 from tests.vian.samples import append, heads, points, reopened
 from vian.version import VERSION
@@ -228,6 +230,22 @@ def test_an_upgrade_says_what_it_would_do_and_then_does_it(make_log: MakeLog, ru
     with reopened(log) as upgraded:
         assert verify(upgraded).events == 3
         append(upgraded, points(1, first_frame=3))
+
+
+def test_an_upgrade_counts_row_tables_of_an_older_version_and_sealed_files(log: Log, run: Run, tmp_path: Path) -> None:
+    append(log, points(3))
+    seal_all(log, tmp_path / "archive")
+    with owner(log) as connection:
+        connection.execute("alter table sealed_files disable trigger user")
+        connection.execute("update sealed_files set bytes = 5000 * 1024 * 1024::bigint")
+        connection.execute("update projections set version = 1 where name = 'track_ended'")
+    found = checks(run("upgrade", "--check", "--dsn", log.dsn, "--json").out)
+    assert found["would rebuild"] == ("note", "rows of track_ended, of a newer version now")
+    assert found["schema"][0] == "note"
+    assert "a backup of it about 5000 MiB" in found["disk"][1]
+    assert checks(run("upgrade", "--dsn", log.dsn, "--json").out)["upgraded"][0] == "ok"
+    assert query(log, "select version from projections where name = 'track_ended'") == [(2,)]
+    assert checks(run("upgrade", "--check", "--dsn", log.dsn, "--json").out)["schema"][0] == "ok"
 
 
 def test_a_log_of_a_newer_version_is_not_touched(log: Log, run: Run, server: Server) -> None:
