@@ -268,9 +268,9 @@ def header_bytes(header: Header) -> bytes:
         (
             MAGIC,
             struct.pack(">I", header.epoch),
-            _text(header.stream.station),
-            _text(header.stream.source),
-            _text(header.stream.type),
+            text_bytes(header.stream.station),
+            text_bytes(header.stream.source),
+            text_bytes(header.stream.type),
             struct.pack(
                 ">QIIqq",
                 header.first_sequence,
@@ -279,8 +279,8 @@ def header_bytes(header: Header) -> bytes:
                 microseconds(header.time_min),
                 microseconds(header.time_max),
             ),
-            _text(header.producer.name),
-            _text(header.producer.version),
+            text_bytes(header.producer.name),
+            text_bytes(header.producer.version),
             header.producer.configuration_hash,
         )
     )
@@ -386,7 +386,8 @@ def _field_offset(metadata: bytes, table: int, index: int) -> int:
     return int(struct.unpack_from("<H", metadata, vtable + slot)[0]) if slot < size else 0
 
 
-def _text(text: str) -> bytes:
+def text_bytes(text: str) -> bytes:
+    """A text in a hashed layout: two bytes of length, then UTF-8."""
     data = text.encode()
     return struct.pack(">H", len(data)) + data
 

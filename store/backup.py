@@ -16,7 +16,7 @@ from pathlib import Path
 from events import GENESIS, Segment, StreamName, chain
 from store import backup_files as files
 from store.backup_files import Head, Manifest
-from store.errors import BackupUnusable, ChainBroken
+from store.errors import UNKNOWN, BackupUnusable, ChainBroken
 from store.log import Log
 from store.maintenance import BACKED_UP, note
 
@@ -217,7 +217,7 @@ def _add_segments(
         _check_room(folder)
     if manifest.position != moment.position:
         raise ChainBroken(
-            StreamName.of("unknown", "unknown", "unknown"),
+            UNKNOWN,
             manifest.position + 1,
             0,
             f"the log ends at position {manifest.position}, its head says {moment.position}",

@@ -16,11 +16,10 @@ from typing import Any, Self
 import pyarrow as pa
 
 from events import Segment, StreamName
-from store.errors import ChainBroken, SealedFileDamaged
+from store.errors import UNKNOWN, ChainBroken, SealedFileDamaged
 from store.places import Place
 from store.reading import Filter
 from store.sealed import (
-    UNKNOWN,
     End,
     Range,
     SealedFile,

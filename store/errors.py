@@ -20,6 +20,9 @@ from dataclasses import dataclass
 
 from events import StreamName
 
+UNKNOWN = StreamName.of("unknown", "unknown", "unknown")
+"""The stream of a fault in something that cannot be read, so that it is not known whose it is."""
+
 
 class StoreError(Exception):
     """Base of every error that the package `store` raises."""

@@ -25,7 +25,7 @@ from psycopg_pool import ConnectionPool, PoolTimeout
 from events import Catalogue, Draft, EventType, Position, Segment, StreamName, load_catalogue
 from store.coldtier import ColdTier
 from store.embedded import EmbeddedServer
-from store.errors import BadRequest, ChainBroken, DatabaseDamaged, LogUnavailable, StoreError
+from store.errors import UNKNOWN, BadRequest, ChainBroken, DatabaseDamaged, LogUnavailable, StoreError
 from store.reading import (
     Filter,
     TimeOrNone,
@@ -394,7 +394,7 @@ class Log:
                 last, damage = middle, error
             else:
                 first = middle + 1
-        return ChainBroken(StreamName.of("unknown", "unknown", "unknown"), Position(first), 0, str(damage))
+        return ChainBroken(UNKNOWN, Position(first), 0, str(damage))
 
     def head(self) -> int:
         """Position of the newest segment; 0 for an empty log."""

@@ -15,7 +15,7 @@ from datetime import datetime
 from typing import Any
 
 from events import CheckpointSigned, Sequence, Station, StreamName
-from events.segment import microseconds
+from events.segment import microseconds, text_bytes
 from store.errors import BadProof
 from store.log import StreamHead
 
@@ -86,7 +86,7 @@ def statement_bytes(statement: Statement) -> bytes:
     return b"".join(
         (
             STATEMENT_MAGIC,
-            _text(statement.station),
+            text_bytes(statement.station),
             struct.pack(">IQq", statement.epoch, statement.position, microseconds(statement.time)),
             statement.order_hash,
             heads_hash(statement.heads),
@@ -186,10 +186,10 @@ def _head(row: list[Any]) -> StreamHead:
 def _head_bytes(head: StreamHead) -> bytes:
     return b"".join(
         (
-            _text(head.stream.station),
+            text_bytes(head.stream.station),
             struct.pack(">I", head.epoch),
-            _text(head.stream.source),
-            _text(head.stream.type),
+            text_bytes(head.stream.source),
+            text_bytes(head.stream.type),
             struct.pack(">Q", head.sequence),
             head.chain_hash,
         )
@@ -205,8 +205,3 @@ def _bytes32(text: str) -> bytes:
     if len(data) != 32:
         raise ValueError(f"a hash or key has 32 bytes, got {len(data)}")
     return data
-
-
-def _text(text: str) -> bytes:
-    data = text.encode()
-    return struct.pack(">H", len(data)) + data

@@ -29,14 +29,13 @@ from events import (
     header_bytes,
     parse_header,
 )
-from store.errors import ChainBroken, SealedFileDamaged
+from store.errors import UNKNOWN, ChainBroken, SealedFileDamaged
 from store.reading import Filter
 
 FORMAT = "VIANSEAL1"
 GROUP_BYTES_MAX = 8 * 1024 * 1024
 GROUP_SEGMENTS_MAX = 2_000
 _NEXT = "Next: bring it back from a copy, then vian verify"
-UNKNOWN = StreamName.of("unknown", "unknown", "unknown")
 
 _TIMESTAMP = pa.timestamp("us", tz="UTC")
 _HASH = pa.binary(32)

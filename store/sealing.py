@@ -20,7 +20,7 @@ import psycopg
 
 from events import Segment, StreamName
 from store.coldtier import ArchiveHead
-from store.errors import ArchiveUnavailable, ChainBroken, LogUnavailable, StoreError
+from store.errors import UNKNOWN, ArchiveUnavailable, ChainBroken, LogUnavailable, StoreError
 from store.log import Log
 from store.places import Place
 from store.sealed import GROUP_BYTES_MAX, GROUP_SEGMENTS_MAX, Chains, End, SealedReader, SealedWriter, Stream
@@ -181,7 +181,7 @@ class Sealer:
             self._require_own_place()
         if groups[0][0] != at + 1:
             raise ChainBroken(
-                StreamName.of("unknown", "unknown", "unknown"),
+                UNKNOWN,
                 at + 1,
                 0,
                 f"positions {at + 1} to {groups[0][0] - 1} are missing. Next: vian verify",
@@ -320,7 +320,7 @@ def archiver(log: Log) -> Iterator[psycopg.Connection[Any]]:
 def _check_positions(segments: list[Segment], first: int, last: int) -> None:
     if [segment.position for segment in segments] != list(range(first, last + 1)):
         raise ChainBroken(
-            StreamName.of("unknown", "unknown", "unknown"),
+            UNKNOWN,
             first,
             0,
             f"of positions {first} to {last} {last - first + 1 - len(segments)} are missing. Next: vian verify",

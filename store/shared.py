@@ -28,6 +28,8 @@ from events import (
     EventType,
     InvalidEvent,
     Producer,
+    Source,
+    Station,
     StreamName,
     batch_of_type,
     encode,
@@ -550,14 +552,14 @@ class SourceAppender:
     """The shared appender as one extractor of one source uses it."""
 
     shared: SharedAppender
-    station: str
-    source: str
+    station: Station
+    source: Source
     producer: Producer
 
     def append(self, item: Item) -> Receipt:
         """Take an event or a batch of them, for the source's stream of its type; see `SharedAppender.submit`."""
         kind = item.type if isinstance(item, EventBatch) else type(item)
-        return self.shared.submit(StreamName.of(self.station, self.source, kind.type_name), item, self.producer)
+        return self.shared.submit(StreamName(self.station, self.source, kind.type_name), item, self.producer)
 
 
 def _runs(submissions: Sequence[Receipt]) -> Iterator[list[Receipt]]:

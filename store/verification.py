@@ -18,11 +18,11 @@ from time import monotonic
 
 from events import Segment
 from store.audit import Audit, Covered
-from store.errors import ChainBroken, SealedFileDamaged
+from store.errors import UNKNOWN, ChainBroken, SealedFileDamaged
 from store.log import Log
 from store.sealed import SealedFile
 from store.verified import Verified
-from store.walk import UNKNOWN, pages
+from store.walk import pages
 
 _SAVE_SECONDS = 5.0
 

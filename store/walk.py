@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 from events import GENESIS, Segment, StreamName, chain
 from events.segment import microseconds
-from store.errors import ChainBroken, SealedFileDamaged
+from store.errors import UNKNOWN, ChainBroken, SealedFileDamaged
 from store.log import Log, StreamHead
 from store.proof import NO_HASH, order_hash
 from store.reading import Filter
@@ -26,7 +26,6 @@ _READ_AHEAD_BYTES = 100_000
 _PAGE_SEGMENTS_MAX = 500
 _PAGE_SEGMENTS_FIRST = 64
 _EVERYTHING = Filter()
-UNKNOWN = StreamName.of("unknown", "unknown", "unknown")
 
 
 @dataclass(slots=True)

@@ -11,8 +11,8 @@ from store import ArchiveUnavailable, BackupDamaged, ChainBroken, Log, health, m
 from store.backup_files import restores
 from store.maintenance import Care
 from store.projector import NAME as PROJECTOR
+from vian.clock import utc_now
 from vian.findings import Finding, Verdict
-from vian.replication import utc_now
 
 GROWTH_WINDOW = timedelta(days=7)
 GROWTH_LEAST = timedelta(hours=1)

@@ -3,7 +3,7 @@
 import random
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from datetime import UTC, datetime
+from datetime import datetime
 from pathlib import Path
 
 import httpx
@@ -14,6 +14,7 @@ from store import Log
 from sync.daemon import Daemon
 from sync.plan import Plan
 from sync.reports import Step
+from vian.clock import utc_now
 from vian.errors import WrongUsage
 from vian.parts import Part
 
@@ -32,11 +33,6 @@ DEFAULT_PLAN = (
     {"stream": "*/*/*", "priority": "points"},
 )
 """What a station sends that was given no plan: everything, situations first."""
-
-
-def utc_now() -> datetime:
-    """This machine's clock."""
-    return datetime.now(UTC)
 
 
 def load_plan(path: Path | None) -> Plan:

@@ -13,9 +13,9 @@ from patterns.parser import parse
 from patterns.processor import Processor, deploy
 from patterns.rule import Rule
 from store import Log
+from vian.clock import utc_now
 from vian.errors import WrongUsage
 from vian.parts import Part, stepping
-from vian.replication import utc_now
 
 logger = structlog.get_logger()
 

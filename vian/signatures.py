@@ -3,7 +3,6 @@
 import os
 import threading
 from collections.abc import Callable
-from datetime import UTC, datetime
 from pathlib import Path
 from time import monotonic
 
@@ -13,6 +12,7 @@ from events import CheckpointSigned
 from store import BadProof, Log, SignedCheckpoint, Signer, StationKey, Verified, known_keys, load_key, make_key
 from store.keys import keep_public
 from store.signing import newest_checkpoint
+from vian.clock import utc_now
 from vian.errors import WrongUsage
 from vian.parts import Part, stepping
 from vian.settings import Settings
@@ -21,11 +21,6 @@ logger = structlog.get_logger()
 
 KEY_NAME = "station.key"
 _PAUSE_SECONDS = 1.0
-
-
-def utc_now() -> datetime:
-    """This machine's clock."""
-    return datetime.now(UTC)
 
 
 def key_path(settings: Settings) -> Path:

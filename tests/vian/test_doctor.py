@@ -11,10 +11,10 @@ from events import StreamName
 from store import Log, LogUnavailable, Projector, Signer, load_key, make_key
 from tests.vian.samples import append, points, reopened
 from vian import doctor
+from vian.clock import utc_now
 from vian.doctor import examine
 from vian.findings import Verdict
 from vian.settings import load_settings
-from vian.signatures import utc_now
 
 
 def findings(open_existing: Callable[[], Log], **given: Any) -> dict[str, tuple[Verdict, str]]:

@@ -7,8 +7,9 @@ from events import SHIPPED, StreamName
 from store import Log
 from sync.errors import PlanError
 from tests.vian.samples import START, append, points
+from vian.clock import utc_now
 from vian.errors import WrongUsage
-from vian.replication import load_plan, station_daemon, utc_now
+from vian.replication import load_plan, station_daemon
 
 TOKEN = "a-token-of-brno-that-nobody-guesses"
 

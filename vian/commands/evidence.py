@@ -12,6 +12,7 @@ import typer
 from events import CheckpointSigned, StreamName
 from store import BadProof, Log, load_key
 from vian import options
+from vian.clock import utc_now
 from vian.errors import WorldFailed, WrongUsage
 from vian.evidence import verifier
 from vian.evidence.bundle import Exported, Source, export
@@ -19,7 +20,7 @@ from vian.evidence.selection import Selection, of_situation, of_stream
 from vian.options import opened, settings_for, time_of
 from vian.output import Output
 from vian.settings import Settings
-from vian.signatures import has_key, key_path, own_station, signer_for, utc_now
+from vian.signatures import has_key, key_path, own_station, signer_for
 
 app = typer.Typer(help="Evidence that anyone can verify without ViAn.", no_args_is_help=True)
 

@@ -16,11 +16,11 @@ from patterns.processor import Processor, schemas
 from patterns.rule import Rule
 from store import Projector
 from vian import options
+from vian.clock import utc_now
 from vian.errors import WorldFailed, WrongUsage
 from vian.options import opened, settings_for
 from vian.output import Output
 from vian.parts import Parts, stepping
-from vian.replication import utc_now
 from vian.rules import deploy_all, files_of, load_all, misplaced
 
 app = typer.Typer(help="Check rule files, and run them over the log.", no_args_is_help=True)
