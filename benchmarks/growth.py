@@ -7,17 +7,16 @@ What is quoted is the median cost an event. A log that knows its length must not
 """
 
 import argparse
-import json
 import statistics
 import tempfile
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 
 import psutil
 
+from benchmarks.measuring import keep
 from benchmarks.points import PRODUCER, points, stream
 from events import decode, encode
 from store import Log, SharedAppender, open_log
@@ -54,13 +53,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         Path(folder).chmod(0o755)
         with open_log(data_dir=Path(folder) / "log") as log:
             found = [_at(log, size) for size in sizes]
-    said = {
-        "measured_at": datetime.now(UTC).isoformat(timespec="seconds"),
-        "is_quick": options.quick,
-        "points": [asdict(point) for point in found],
-    }
-    options.results.parent.mkdir(parents=True, exist_ok=True)
-    options.results.write_text(json.dumps(said, indent=1) + "\n")
+    keep(options.results, is_quick=options.quick, points=[asdict(each) for each in found])
     if options.plot:
         _draw(found, options.plot)
 

@@ -8,12 +8,10 @@ hundred cameras, medians of five rounds in which the candidates take turns. Resu
 """
 
 import argparse
-import json
 import platform
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from functools import partial
 from itertools import count
 from pathlib import Path
@@ -21,12 +19,11 @@ from pathlib import Path
 import pyarrow as pa
 
 from benchmarks import references
-from benchmarks.measuring import Row, compared, rate
+from benchmarks.measuring import Row, compared, keep, rate
 from benchmarks.points import PRODUCER, points, row_batch, stream
 from events import EventType, decode, encode, events_of
 from store import Log, Projector, SharedAppender, open_log, verify
 
-THREADS = 8
 EVENTS_READ = 1_000_000
 
 
@@ -65,7 +62,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
                     rows.append(row)
                     print(_line(row), flush=True)
     if not options.only:
-        _keep(rows, options.results, is_quick=options.quick)
+        machine = f"{platform.machine()}, {platform.system()}, Python {platform.python_version()}"
+        keep(options.results, is_quick=options.quick, machine=machine, rows=[row.plain() for row in rows])
 
 
 def _tuned(log: Log) -> None:
@@ -86,57 +84,46 @@ def _line(row: Row) -> str:
     )
 
 
-def _keep(rows: Sequence[Row], results: Path, *, is_quick: bool) -> None:
-    results.parent.mkdir(parents=True, exist_ok=True)
-    said = {
-        "measured_at": datetime.now(UTC).isoformat(timespec="seconds"),
-        "machine": f"{platform.machine()}, {platform.system()}, Python {platform.python_version()}",
-        "is_quick": is_quick,
-        "rows": [row.plain() for row in rows],
-    }
-    results.write_text(json.dumps(said, indent=1) + "\n")
-
-
 # Append.
 
 
 def _append(log: Log, plan: Plan) -> Iterator[Row]:
     """Segments of 10,000 and 1,000 events beside COPY of the same rows, a commit each."""
-    for size, calls, target in ((10_000, 40, 2.5), (1_000, 150, 1.2)):
-        table = references.TypedTable(log.dsn)
-        batches = [points(size, seed) for seed in range(20)]
-        rows = [row_batch(batch, camera, 1) for camera, batch in enumerate(batches)]
-        number = plan.times(calls)
+    yield from _appended(log, plan, 10_000, 40, 2.5)
+    yield from _appended(log, plan, 1_000, 150, 1.2)
 
-        def ours(_: int, batches: list = batches, number: int = number) -> float:  # type: ignore[type-arg]
+
+def _appended(log: Log, plan: Plan, size: int, calls: int, target: float) -> Iterator[Row]:
+    table = references.TypedTable(log.dsn)
+    batches = [points(size, seed) for seed in range(20)]
+    rows = [row_batch(batch, camera, 1) for camera, batch in enumerate(batches)]
+    number = plan.times(calls)
+
+    def ours(_: int) -> float:
+        def work() -> None:
+            for call in range(number):
+                log.append([encode(stream(call), batches[call % 20], PRODUCER)])
+
+        return rate(number * size, work)
+
+    def pipelined(_: int) -> float:
+        with SharedAppender(log) as appender:
+
             def work() -> None:
                 for call in range(number):
-                    log.append([encode(stream(call), batches[call % 20], PRODUCER)])
+                    appender.submit(stream(call), batches[call % 20], PRODUCER)
+                appender.flush()
 
-            return rate(number * len(batches[0]), work)
+            return rate(number * size, work)
 
-        def pipelined(_: int, batches: list = batches, number: int = number) -> float:  # type: ignore[type-arg]
-            with SharedAppender(log) as appender:
+    reference = ("binary COPY", lambda _: rate(number * size, lambda: _copied(table, rows, number)))
+    yield compared(f"append, {size:,} events a segment", "events/s", plan.rounds, ours, reference, target)
+    yield compared(f"append, {size:,} a segment, shared appender", "events/s", plan.rounds, pipelined, reference, None)
 
-                def work() -> None:
-                    for call in range(number):
-                        appender.submit(stream(call), batches[call % 20], PRODUCER)
-                    appender.flush()
 
-                return rate(number * len(batches[0]), work)
-
-        def copy(_: int, rows: list = rows, number: int = number, table: references.TypedTable = table) -> float:  # type: ignore[type-arg]
-            def work() -> None:
-                for call in range(number):
-                    table.copy(rows[call % 20])
-
-            return rate(number * rows[0].num_rows, work)
-
-        reference = ("binary COPY", copy)
-        yield compared(f"append, {size:,} events a segment", "events/s", plan.rounds, ours, reference, target)
-        yield compared(
-            f"append, {size:,} a segment, shared appender", "events/s", plan.rounds, pipelined, reference, None
-        )
+def _copied(table: references.TypedTable, rows: Sequence[pa.RecordBatch], calls: int) -> None:
+    for call in range(calls):
+        table.copy(rows[call % len(rows)])
 
 
 def _shared(log: Log, plan: Plan) -> Iterator[Row]:
@@ -261,16 +248,10 @@ def _project(log: Log, plan: Plan) -> Iterator[Row]:
             log.append([encode(stream(next(starts)), points(size, call % 20), PRODUCER)])
         return rate(number * size, projector.catch_up)
 
-    def copy(_: int) -> float:
-        def work() -> None:
-            for call in range(number):
-                table.copy(rows[call % 20])
-
-        return rate(number * size, work)
-
+    copy = ("binary COPY", lambda _: rate(number * size, lambda: _copied(table, rows, number)))
     ours(0)  # partitions and statements are there after a first time
     try:
-        yield compared("row projector, 10,000 a batch", "events/s", plan.rounds, ours, ("binary COPY", copy), 0.55)
+        yield compared("row projector, 10,000 a batch", "events/s", plan.rounds, ours, copy, 0.55)
     finally:
         projector.close()
 

@@ -3,11 +3,14 @@
 Machines are noisy: what is quoted is the median of the ratios of neighbours in time, and both medians.
 """
 
+import json
 import statistics
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from pathlib import Path
 from typing import Any
 
 
@@ -24,7 +27,6 @@ class Row:
     target: float | None
     at_least: bool = True
     """whether the ratio must reach the target, else it must stay below it"""
-    note: str = ""
 
     @property
     def is_reached(self) -> bool | None:
@@ -52,8 +54,6 @@ def compared(
     ours: Callable[[int], float],
     reference: tuple[str, Callable[[int], float]],
     target: float | None,
-    *,
-    note: str = "",
 ) -> Row:
     """Ours beside the reference, turn by turn; each is given the round's number and returns its rate."""
     name, measure = reference
@@ -64,7 +64,14 @@ def compared(
         pairs.append((two, one) if number % 2 else (one, two))
     medians = [statistics.median(side) for side in zip(*pairs, strict=True)]
     ratio = statistics.median(mine / theirs for mine, theirs in pairs)
-    return Row(what, unit, medians[0], medians[1], name, ratio, target, note=note)
+    return Row(what, unit, medians[0], medians[1], name, ratio, target)
+
+
+def keep(results: Path, *, is_quick: bool, **found: Any) -> None:
+    """Write what a run found, and when, into its file of results."""
+    said = {"measured_at": datetime.now(UTC).isoformat(timespec="seconds"), "is_quick": is_quick, **found}
+    results.parent.mkdir(parents=True, exist_ok=True)
+    results.write_text(json.dumps(said, indent=1) + "\n")
 
 
 @contextmanager

@@ -24,7 +24,7 @@ from pathlib import Path
 import numpy as np
 import psutil
 
-from benchmarks.measuring import cpu_of
+from benchmarks.measuring import cpu_of, keep
 from benchmarks.points import CAMERAS, PRODUCER, points, stream
 from store import Log, Projector, SharedAppender, Subscription, open_log
 
@@ -82,13 +82,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             with open_log(data_dir=Path(folder) / "log") as log:
                 outcomes.append(_measured(log, load))
         print(json.dumps(asdict(outcomes[-1]), indent=1), flush=True)
-    said = {
-        "measured_at": datetime.now(UTC).isoformat(timespec="seconds"),
-        "is_quick": options.quick,
-        "outcomes": [asdict(outcome) for outcome in outcomes],
-    }
-    options.results.parent.mkdir(parents=True, exist_ok=True)
-    options.results.write_text(json.dumps(said, indent=1) + "\n")
+    keep(options.results, is_quick=options.quick, outcomes=[asdict(each) for each in outcomes])
 
 
 class _Follower:
