@@ -32,7 +32,7 @@ P_ACCEPTS, P_VARIABLE, P_GUARD, P_GUARD_END, P_UPDATES, P_UPDATES_END, P_LIVE, P
 P_WIDTH = 8
 
 # How a register takes a row.
-FIRST, LAST, ROWS, VALUES = 0, 1, 2, 3
+FIRST, LAST, ROWS, VALUES, SUM, MIN, MAX, F_SUM, F_MIN, F_MAX = range(10)
 
 # What a partition remembers of one rule.
 C_RULE, C_PARTITION, C_NEXT, C_FIRST, C_LAST, C_RESUME, C_THREADS, C_ATTEMPTS = range(8)
@@ -57,6 +57,8 @@ BY_ROW, BY_TIME, BY_END, GIVEN_UP = 0, 1, 2, 3
 # Where free records begin, and how many there are.
 FREE_CELL, FREE_ATTEMPT, FREE_THREAD, FREE_TRACE, CELLS, ATTEMPTS, THREADS, TRACES, FOUND, DUE = range(10)
 CONTROLS = 10
+
+compiled = njit(cache=True, _nrt=False)
 
 FINE, GROW = 0, 1
 """A step is done; or it needs more room and is to be called again."""
@@ -130,7 +132,7 @@ STACK = 64
 _BEYOND = 2.0**63
 
 
-@njit(cache=True)
+@compiled
 def _compared(op, left, right):
     if op == OP_EQ:
         return left == right
@@ -145,7 +147,7 @@ def _compared(op, left, right):
     return left >= right
 
 
-@njit(cache=True)
+@compiled
 def _quotient(left, right):
     """Truncated towards zero; `right` is not zero."""
     if right == -1:
@@ -156,7 +158,7 @@ def _quotient(left, right):
     return quotient
 
 
-@njit(cache=True)
+@compiled
 def _strict(op, at, stack, floats, nulls):
     """Operators of two operands, neither NULL; their value replaces the first."""
     if OP_EQ <= op <= OP_GE:
@@ -201,7 +203,7 @@ def _strict(op, at, stack, floats, nulls):
         nulls[at] = 1
 
 
-@njit(cache=True)
+@compiled
 def _round(microseconds, at, stack, nulls):
     if abs(microseconds) < _BEYOND:
         stack[at] = np.int64(np.rint(microseconds))
@@ -209,7 +211,7 @@ def _round(microseconds, at, stack, nulls):
         nulls[at] = 1
 
 
-@njit(cache=True)
+@compiled
 def _unary(op, at, stack, floats, nulls):
     if op == OP_NOT:
         stack[at] = 1 - stack[at]
@@ -229,7 +231,7 @@ def _unary(op, at, stack, floats, nulls):
         floats[at] = np.sqrt(floats[at])
 
 
-@njit(cache=True)
+@compiled
 def _is_true(tables, state, scratch, begin, end, rows, row, slots_at, thread):
     """Whether the guard of these instructions is true; neither false nor NULL."""
     stack, nulls = scratch.stack, scratch.stack_nulls
@@ -289,7 +291,7 @@ def _is_true(tables, state, scratch, begin, end, rows, row, slots_at, thread):
 # Records.
 
 
-@njit(cache=True)
+@compiled
 def _release(state, trace):
     """One reference to the trace less; what nothing refers to any more is free."""
     traces, controls = state.traces, state.controls
@@ -304,7 +306,7 @@ def _release(state, trace):
         trace = parent
 
 
-@njit(cache=True)
+@compiled
 def _extended(state, trace, variable, rows, row, ordinal):
     """The trace with one row more, as a new record."""
     traces, controls = state.traces, state.controls
@@ -338,7 +340,7 @@ def _extended(state, trace, variable, rows, row, ordinal):
     return new
 
 
-@njit(cache=True)
+@compiled
 def _take_thread(state):
     new = state.controls[FREE_THREAD]
     state.controls[FREE_THREAD] = state.threads[new, T_NEXT]
@@ -346,7 +348,7 @@ def _take_thread(state):
     return new
 
 
-@njit(cache=True)
+@compiled
 def _free_thread(state, thread):
     _release(state, state.threads[thread, T_TRACE])
     state.threads[thread, T_TRACE] = -1
@@ -355,7 +357,7 @@ def _free_thread(state, thread):
     state.controls[THREADS] += 1
 
 
-@njit(cache=True)
+@compiled
 def _copy(state, source, target, registers):
     for at in range(registers):
         state.registers[target, at] = state.registers[source, at]
@@ -363,7 +365,7 @@ def _copy(state, source, target, registers):
     state.threads[target, T_UNSET] = state.threads[source, T_UNSET]
 
 
-@njit(cache=True)
+@compiled
 def _free_threads(state, attempt):
     thread = state.attempts[attempt, A_THREAD]
     while thread >= 0:
@@ -373,7 +375,7 @@ def _free_threads(state, attempt):
     state.attempts[attempt, A_THREAD] = -1
 
 
-@njit(cache=True)
+@compiled
 def _free_attempt(state, attempt):
     """The attempt's records are free again; a match that was handed on is not among them."""
     _free_threads(state, attempt)
@@ -385,7 +387,7 @@ def _free_attempt(state, attempt):
     state.controls[ATTEMPTS] += 1
 
 
-@njit(cache=True)
+@compiled
 def _clear_cell(state, cell):
     """All attempts of the cell are gone."""
     attempt = state.cells[cell, C_FIRST]
@@ -397,7 +399,7 @@ def _clear_cell(state, cell):
     state.cells[cell, C_THREADS] = state.cells[cell, C_ATTEMPTS] = 0
 
 
-@njit(cache=True)
+@compiled
 def _new_cell(state, rule, partition):
     cells, controls = state.cells, state.controls
     cell = controls[FREE_CELL]
@@ -411,7 +413,7 @@ def _new_cell(state, rule, partition):
     return cell
 
 
-@njit(cache=True)
+@compiled
 def _free_cell(state, cell, before):
     """The cell is free and no longer in its partition's list, where it stood after `before`."""
     cells, controls = state.cells, state.controls
@@ -427,7 +429,7 @@ def _free_cell(state, cell, before):
     controls[CELLS] += 1
 
 
-@njit(cache=True)
+@compiled
 def _remove_attempts(state, cell, after, from_ordinal, below_ordinal):
     """Removes attempts behind `after` (-1: from the first on) with `from <= ordinal < below`; those failed too."""
     cells, attempts = state.cells, state.attempts
@@ -453,7 +455,7 @@ def _remove_attempts(state, cell, after, from_ordinal, below_ordinal):
 # One row.
 
 
-@njit(cache=True)
+@compiled
 def _has(rows, row, masks, mask, words):
     for word in range(words):
         wanted = masks[mask, word]
@@ -462,7 +464,7 @@ def _has(rows, row, masks, mask, words):
     return True
 
 
-@njit(cache=True)
+@compiled
 def _update(tables, state, position, rows, row, slots_at, thread):
     registers, threads = state.registers, state.threads
     for at in range(tables.positions[position, P_UPDATES], tables.positions[position, P_UPDATES_END]):
@@ -477,12 +479,39 @@ def _update(tables, state, position, rows, row, slots_at, thread):
             continue
         if how == FIRST and threads[thread, T_UNSET] & bit == 0:
             continue
+        if how >= SUM:
+            if not is_null:
+                _combine(registers, thread, register, how, rows, row, slots_at + slot, threads[thread, T_NULLS] & bit)
+                threads[thread, T_NULLS] &= ~bit
+            continue
         registers[thread, register] = 0 if is_null else rows[row, slots_at + slot]
         threads[thread, T_UNSET] &= ~bit
         threads[thread, T_NULLS] = threads[thread, T_NULLS] | bit if is_null else threads[thread, T_NULLS] & ~bit
 
 
-@njit(cache=True)
+@compiled
+def _combine(registers, thread, register, how, rows, row, column, holds_nothing):
+    """A sum or an extreme takes one value more."""
+    if holds_nothing:
+        registers[thread, register] = rows[row, column]
+    elif how == SUM:
+        registers[thread, register] += rows[row, column]
+    elif how == MIN:
+        registers[thread, register] = min(registers[thread, register], rows[row, column])
+    elif how == MAX:
+        registers[thread, register] = max(registers[thread, register], rows[row, column])
+    else:
+        floats = registers.view(np.float64)
+        held, value = floats[thread, register], rows.view(np.float64)[row, column]
+        if how == F_SUM:
+            floats[thread, register] = held + value
+        elif how == F_MIN:
+            floats[thread, register] = held if held <= value else value
+        else:
+            floats[thread, register] = held if held >= value else value
+
+
+@compiled
 def _is_new(tables, state, scratch, position, thread, start, safe_until):
     """Whether no thread before has this position and these live registers and stands for this start too."""
     stamp = scratch.controls[_STAMP]
@@ -500,7 +529,9 @@ def _is_new(tables, state, scratch, position, thread, start, safe_until):
     most = len(scratch.hash_stamps) - 1
     at = hashed & most
     while scratch.hash_stamps[at] == stamp:
-        if scratch.hash_positions[at] == position and _same(tables, state, begin, end, scratch.hash_threads[at], thread):
+        if scratch.hash_positions[at] == position and _same(
+            tables, state, begin, end, scratch.hash_threads[at], thread
+        ):
             if scratch.hash_safe[at] >= start:
                 return False
             break
@@ -514,7 +545,7 @@ def _is_new(tables, state, scratch, position, thread, start, safe_until):
     return True
 
 
-@njit(cache=True)
+@compiled
 def _same(tables, state, begin, end, one, other):
     registers, threads = state.registers, state.threads
     differ = (threads[one, T_NULLS] ^ threads[other, T_NULLS]) | (threads[one, T_UNSET] ^ threads[other, T_UNSET])
@@ -525,7 +556,7 @@ def _same(tables, state, begin, end, one, other):
     return True
 
 
-@njit(cache=True)
+@compiled
 def _settle(state, attempt, thread, rows, row, ordinal):
     """This thread is the attempt's best match so far."""
     attempts = state.attempts
@@ -538,7 +569,7 @@ def _settle(state, attempt, thread, rows, row, ordinal):
     attempts[attempt, E_ORDINAL] = ordinal
 
 
-@njit(cache=True)
+@compiled
 def _advance(tables, state, scratch, rule, attempt, rows, row, ordinal, safe_until, most, words):
     """Every thread of the attempt takes the row, or dies; how many there are then, at most one more than `most`."""
     threads, attempts, positions = state.threads, state.attempts, tables.positions
@@ -560,9 +591,7 @@ def _advance(tables, state, scratch, rule, attempt, rows, row, ordinal, safe_unt
                 _copy(state, thread, new, registers)
                 _update(tables, state, target, rows, row, slots_at, new)
                 begin, end = positions[target, P_GUARD], positions[target, P_GUARD_END]
-                if begin < end and not _is_true(
-                    tables, state, scratch, begin, end, rows, row, slots_at, new
-                ):
+                if begin < end and not _is_true(tables, state, scratch, begin, end, rows, row, slots_at, new):
                     continue
                 if not _is_new(tables, state, scratch, target, new, start, safe_until):
                     continue
@@ -598,7 +627,7 @@ def _advance(tables, state, scratch, rule, attempt, rows, row, ordinal, safe_unt
     return count
 
 
-@njit(cache=True)
+@compiled
 def _begin(tables, state, cell, rule, rows, row, ordinal):
     """A match may begin at this row."""
     cells, attempts, controls = state.cells, state.attempts, state.controls
@@ -631,7 +660,7 @@ def _begin(tables, state, cell, rule, rows, row, ordinal):
     return attempt
 
 
-@njit(cache=True)
+@compiled
 def _step(tables, state, scratch, cell, rule, rows, row, ordinal, words):
     """Every thread of every attempt takes the row, or dies; whether there are no more than the limit."""
     cells, attempts = state.cells, state.attempts
@@ -663,7 +692,7 @@ def _step(tables, state, scratch, cell, rule, rows, row, ordinal, words):
     return True
 
 
-@njit(cache=True)
+@compiled
 def _nearest_end(state, attempt, until):
     """Of the matches that earlier attempts had before this row, the first end at or after the start of `until`."""
     attempts = state.attempts
@@ -675,7 +704,7 @@ def _nearest_end(state, attempt, until):
     return nearest
 
 
-@njit(cache=True)
+@compiled
 def _resolve(tables, state, cell, rule, how, time, stream, sequence):
     """Hands on the matches that nothing earlier or more preferred can still replace; 0, or why that failed."""
     cells, attempts = state.cells, state.attempts
@@ -704,7 +733,7 @@ def _resolve(tables, state, cell, rule, how, time, stream, sequence):
     return 0
 
 
-@njit(cache=True)
+@compiled
 def _resume(tables, state, rule, attempt):
     """The number of the row where the search goes on after the attempt's match; negative: why nowhere."""
     skip = tables.rules[rule, U_SKIP]
@@ -726,7 +755,7 @@ def _resume(tables, state, rule, attempt):
     return -SKIP_FOR_EVER if target == state.attempts[attempt, A_ORDINAL] else target
 
 
-@njit(cache=True)
+@compiled
 def _hand_on(state, cell, attempt, how, time, stream, sequence):
     found, attempts = state.found, state.attempts
     at = state.controls[FOUND]
@@ -747,7 +776,7 @@ def _hand_on(state, cell, attempt, how, time, stream, sequence):
     found[at, F_DECIDED_SEQUENCE] = sequence
 
 
-@njit(cache=True)
+@compiled
 def _give_up(tables, state, cell, rule):
     """What the limit `threads` ends: the rule where it is strict, else the partial matches of this partition."""
     cells = state.cells
@@ -766,7 +795,7 @@ def _give_up(tables, state, cell, rule):
     _clear_cell(state, cell)
 
 
-@njit(cache=True)
+@compiled
 def _expire(tables, state, cell, rule, until):
     """Ends the cell's attempts that no row from `until` on can belong to."""
     within = tables.rules[rule, U_WITHIN]
@@ -783,15 +812,13 @@ def _expire(tables, state, cell, rule, until):
             return
 
 
-@njit(cache=True)
+@compiled
 def _take(tables, state, scratch, cell, rule, rows, row, ordinal, words):
     """The cell's attempts take the row, and what is final is handed on."""
     if not _step(tables, state, scratch, cell, rule, rows, row, ordinal, words):
         _give_up(tables, state, cell, rule)
         return
-    failure = _resolve(
-        tables, state, cell, rule, BY_ROW, rows[row, R_TIME], rows[row, R_STREAM], rows[row, R_SEQUENCE]
-    )
+    failure = _resolve(tables, state, cell, rule, BY_ROW, rows[row, R_TIME], rows[row, R_STREAM], rows[row, R_SEQUENCE])
     if failure:
         state.failures[rule] = failure
 
@@ -799,7 +826,7 @@ def _take(tables, state, scratch, cell, rule, rows, row, ordinal, words):
 # Where matches may begin.
 
 
-@njit(cache=True)
+@compiled
 def _begins(tables, rule, rows, row, next_rows, next_row, words, alone, followed):
     """Whether a match of the rule may begin at the row: `alone` by itself, `followed` because of the next."""
     if followed and not alone:
@@ -818,7 +845,7 @@ def _begins(tables, rule, rows, row, next_rows, next_row, words, alone, followed
     return False
 
 
-@njit(cache=True)
+@compiled
 def _starts(tables, state, rows, row, next_rows, next_row, words, alone, followed, starts):
     """Writes the rules of which a match may begin at the row, and returns how many there are."""
     count = 0
@@ -829,7 +856,7 @@ def _starts(tables, state, rows, row, next_rows, next_row, words, alone, followe
     return count
 
 
-@njit(cache=True)
+@compiled
 def _known_starts(tables, state, scratch, rows, row, next_row, words):
     """The same as `_starts` for a row and its next in `rows`; remembers the answer for rows of the same bits."""
     memo = scratch.memo
@@ -850,7 +877,7 @@ def _known_starts(tables, state, scratch, rows, row, next_row, words):
 # Many rows.
 
 
-@njit(cache=True)
+@compiled
 def _has_room(tables, state, partition):
     cells, controls, rules = state.cells, state.controls, len(tables.rules)
     threads, attempts, count, most = 0, 0, 0, 0
@@ -873,7 +900,7 @@ def _has_room(tables, state, partition):
     )
 
 
-@njit(cache=True)
+@compiled
 def _cell_of(state, rule, partition):
     cell = state.first_cells[partition]
     while cell >= 0 and state.cells[cell, C_RULE] != rule:
@@ -881,7 +908,7 @@ def _cell_of(state, rule, partition):
     return cell
 
 
-@njit(cache=True)
+@compiled
 def _begin_before(tables, state, scratch, partition, rows, row, words):
     """Begins matches at the partition's last row, which this first new row shows to be possible."""
     last_rows = state.last_rows
@@ -904,7 +931,7 @@ def _begin_before(tables, state, scratch, partition, rows, row, words):
         )
 
 
-@njit(cache=True)
+@compiled
 def _run_row(tables, state, scratch, partition, rows, row, ordinal, starts, count, words):
     cells = state.cells
     scratch.controls[_ROW_STAMP] += 1
@@ -936,7 +963,7 @@ def _run_row(tables, state, scratch, partition, rows, row, ordinal, starts, coun
                 _free_cell(state, cell, np.int64(-1))
 
 
-@njit(cache=True)
+@compiled
 def run(tables, state, scratch, rows, order, partitions, bounds, cursor, words):
     """Runs all rules over rows of many partitions, each partition's next in their order.
 
@@ -983,7 +1010,7 @@ def run(tables, state, scratch, rows, order, partitions, bounds, cursor, words):
     return FINE
 
 
-@njit(cache=True)
+@compiled
 def expire(tables, state, until, is_end, cursor):
     """Ends what no row from `until` on can belong to; with `is_end`, everything.
 
@@ -1025,7 +1052,7 @@ def expire(tables, state, until, is_end, cursor):
     return FINE
 
 
-@njit(cache=True)
+@compiled
 def _end(tables, state, cell, rule):
     """Ends the cell's attempts because there are no more rows."""
     within = tables.rules[rule, U_WITHIN]
@@ -1037,7 +1064,7 @@ def _end(tables, state, cell, rule):
         state.failures[rule] = _resolve(tables, state, cell, rule, how, deadline, 0, 0)
 
 
-@njit(cache=True)
+@compiled
 def _before(state, cell):
     """The cell before this one in their partition's list; -1: it is the first."""
     before, at = np.int64(-1), state.first_cells[state.cells[cell, C_PARTITION]]
@@ -1046,7 +1073,7 @@ def _before(state, cell):
     return before
 
 
-@njit(cache=True)
+@compiled
 def drop_rule(state, rule):
     """Forgets all that is remembered of a rule."""
     for cell in range(len(state.cells)):
@@ -1054,32 +1081,34 @@ def drop_rule(state, rule):
             _free_cell(state, cell, _before(state, cell))
 
 
-@njit(cache=True)
+@compiled
 def drop_partition(state, partition):
     """Forgets all that is remembered of a partition."""
     while state.first_cells[partition] >= 0:
         _free_cell(state, state.first_cells[partition], np.int64(-1))
 
 
-@njit(cache=True)
+@compiled
 def wanted(tables, state, partitions, watermark, words, is_wanted):
     """Marks the partitions of which anything has to be remembered; what is left over of the others is freed."""
     for partition in range(partitions):
-        is_wanted[partition] = _is_wanted(tables, state, partition, watermark, words)
+        is_wanted[partition] = _is_wanted(tables, state, partition, watermark, words, 0, len(tables.rules))
         if not is_wanted[partition]:
             drop_partition(state, partition)
 
 
-@njit(cache=True)
-def _is_wanted(tables, state, partition, watermark, words):
+@compiled
+def _is_wanted(tables, state, partition, watermark, words, first_rule, end_rule):
+    """Whether the rules from the first to the end one have anything to remember of the partition."""
     if state.last_ordinals[partition] < 0:
         return False
     cell = state.first_cells[partition]
     while cell >= 0:
-        if state.cells[cell, C_FIRST] >= 0 and not state.failures[state.cells[cell, C_RULE]]:
+        rule = state.cells[cell, C_RULE]
+        if first_rule <= rule < end_rule and state.cells[cell, C_FIRST] >= 0 and not state.failures[rule]:
             return True
         cell = state.cells[cell, C_NEXT]
-    for rule in range(len(tables.rules)):
+    for rule in range(first_rule, end_rule):
         if state.failures[rule]:
             continue
         if tables.rules[rule, U_LOOKS_BACK]:
@@ -1094,7 +1123,7 @@ def _is_wanted(tables, state, partition, watermark, words):
     return False
 
 
-@njit(cache=True)
+@compiled
 def runs_of(state, count, runs, ends):
     """Copies the runs of the found matches' traces, each from its first row to its last.
 
@@ -1126,7 +1155,7 @@ def runs_of(state, count, runs, ends):
     return total
 
 
-@njit(cache=True)
+@compiled
 def clear_found(state):
     """The found matches were taken; their records are free again."""
     for at in range(state.controls[FOUND]):
@@ -1138,7 +1167,7 @@ def clear_found(state):
 # Grouping.
 
 
-@njit(cache=True)
+@compiled
 def intern(keys, table, slots, known, numbers):
     """Numbers the keys: equal rows of `keys`, and only these, have one number.
 
@@ -1262,10 +1291,43 @@ def _merge_sort(order, begin, end, time, rank, sequence):
     order[begin:end] = source
 
 
-@njit(cache=True)
+@compiled
 def _is_before(one, other, time, rank, sequence):
     if time[one] != time[other]:
         return time[one] < time[other]
     if rank[one] != rank[other]:
         return rank[one] < rank[other]
     return sequence[one] < sequence[other]
+
+
+@compiled
+def chained(counts, bounds, order, fresh, before):
+    """Writes for each row the row before it in its partition.
+
+    Args:
+        counts: For each group how many rows of it were there before; they stand first, group after group.
+        bounds: Where each group begins in `order`, and the end.
+        order: Numbers of new rows, which stand behind `fresh` earlier ones.
+        fresh: How many earlier ones there are.
+        before: Where the answer goes; -1: none.
+    """
+    earlier = 0
+    for group in range(len(counts)):
+        last = np.int64(-1)
+        for row in range(earlier, earlier + counts[group]):
+            before[row] = last
+            last = row
+        earlier += counts[group]
+        for at in range(bounds[group], bounds[group + 1]):
+            before[fresh + order[at]] = last
+            last = fresh + order[at]
+
+
+@compiled
+def open_partitions(tables, state, partitions, watermark, words, rule):
+    """How many partitions have anything to remember for the rule."""
+    count = 0
+    for partition in range(partitions):
+        if _is_wanted(tables, state, partition, watermark, words, rule, rule + 1):
+            count += 1
+    return count

@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from patterns.columns import arrow_type
@@ -37,10 +36,17 @@ class StreamNumbers:
 
     def numbers(self, batch: pa.Table) -> NDArray[np.int64]:
         """For each row its stream's number."""
-        parts = [batch.column(name).cast(pa.string()) for name in ("station", "source", "type")]
-        names = pc.binary_join_element_wise(*parts, "/").combine_chunks().dictionary_encode()
-        lookup = np.array([self._number(name) for name in names.dictionary.to_pylist()], dtype=np.int64)
-        numbers: NDArray[np.int64] = lookup[names.indices.to_numpy(zero_copy_only=False)]
+        parts = [encoded(batch.column(name)) for name in ("station", "source", "type")]
+        codes = np.zeros(batch.num_rows, dtype=np.int64)
+        for part in parts:
+            if len(part.dictionary) > 1:
+                codes = codes * len(part.dictionary) + part.indices.to_numpy()
+        if all(len(part.dictionary) == 1 for part in parts):
+            return codes + self._number("/".join(part.dictionary[0].as_py() for part in parts))
+        used, codes = _distinct(codes)
+        names = [part.dictionary.to_pylist() for part in parts]
+        lookup = np.array([self._number("/".join(_names_of(code, names))) for code in used.tolist()], dtype=np.int64)
+        numbers: NDArray[np.int64] = lookup[codes]
         return numbers
 
     def ranks(self) -> NDArray[np.int64]:
@@ -55,6 +61,37 @@ class StreamNumbers:
             number = self._numbers[name] = len(self.names)
             self.names.append(name)
         return number
+
+
+def encoded(column: Any) -> Any:
+    """The column as numbers and the texts that they stand for, each once."""
+    if not pa.types.is_dictionary(column.type):
+        column = column.dictionary_encode()
+    column = column.combine_chunks()
+    if isinstance(column, pa.ChunkedArray):
+        column = pa.DictionaryArray.from_arrays(pa.array([], pa.int32()), pa.array([], pa.string()))
+    return column
+
+
+def _distinct(codes: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """The numbers that occur, ascending, and for each row the place of its number among them."""
+    highest = int(codes.max(initial=0))
+    if highest > 1 << 16:
+        used, places = np.unique(codes, return_inverse=True)
+        return used, places
+    used = np.flatnonzero(np.bincount(codes, minlength=1))
+    lookup = np.zeros(highest + 1, dtype=np.int64)
+    lookup[used] = np.arange(len(used))
+    return used, lookup[codes]
+
+
+def _names_of(code: int, names: list[list[str]]) -> list[str]:
+    """The station, source and type that one number for all three stands for."""
+    parts = []
+    for each in reversed(names):
+        code, at = divmod(code, len(each))
+        parts.append(each[at])
+    return parts[::-1]
 
 
 def check_envelope(batch: pa.Table) -> None:

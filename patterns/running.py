@@ -7,7 +7,7 @@ order of the times that decided them, which no way of splitting the rows
 changes; each leaves once.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from typing import Any, TypeAlias
@@ -24,7 +24,7 @@ from patterns.engine import Engine, Key
 from patterns.errors import StateError
 from patterns.geometry import FrameSize
 from patterns.matcher import Found
-from patterns.rows import SEQUENCE, STREAM, TIME, StreamNumbers, check_envelope, in_total_order, normalised
+from patterns.rows import SEQUENCE, STREAM, TIME, StreamNumbers, check_envelope, encoded, in_total_order, normalised
 from patterns.saved import Saved, decode, encode, partitions_from_json, partitions_to_json
 from patterns.situations import EventRef, Match, Narrator, as_microseconds, event_ref, nearest_time
 from patterns.titles import Scalar
@@ -146,12 +146,12 @@ class RuleRun:
         Raises:
             MatchError: The rule cannot go on with these rows.
         """
-        table = _as_table(rows)
+        table = as_table(rows)
         check_envelope(table)
         if table.num_rows == 0:
             return Outcome()
         late = self._take(table)
-        for source, newest in _newest_by_source(table):
+        for source, newest in newest_by_source(table):
             self._clock.observe(source, newest)
         return Outcome(self._advance(), late)
 
@@ -163,7 +163,7 @@ class RuleRun:
 
     def advance_idle(self, now: datetime) -> Outcome:
         """Looks, by the clock on the wall, for sources that have been silent for the idle time."""
-        self._clock.look_for_idle(_wall_us(now))
+        self._clock.look_for_idle(wall_us(now))
         return Outcome(self._advance())
 
     def finish(self) -> Outcome:
@@ -181,10 +181,10 @@ class RuleRun:
         Raises:
             MatchError: The rows are not of the shape that the rule was bound to.
         """
-        table = _as_table(rows)
+        table = as_table(rows)
         check_envelope(table)
         self._take(table)
-        for source, newest in _newest_by_source(table):
+        for source, newest in newest_by_source(table):
             self._clock.observe(source, newest)
 
     def state(self) -> bytes:
@@ -283,7 +283,7 @@ class RuleRun:
         """The matches that become situations, in the order in which they were decided."""
         newest_us = self._clock.newest_us()
         matches = []
-        for key, each in sorted(found, key=lambda pair: self._order(pair[1])):
+        for key, each in sorted(found, key=lambda pair: decided_order(pair[1], self._streams.names)):
             made = self._narrator.match(key, each)
             now_us = newest_us if each.decided_us is None else each.decided_us
             if self._emitter.lets_through(made, now_us):
@@ -291,38 +291,43 @@ class RuleRun:
         self.counts.matches += len(matches)
         return tuple(matches)
 
-    def _order(self, found: Found) -> tuple[Any, ...]:
-        """By deciding time, time itself before rows of that time, then by the deciding and the first event."""
-        names = self._streams.names
-        stream, sequence, time_us = found.first
-        first = (time_us, names[stream], sequence)
-        if found.decided_us is None:
-            return (1, 0, 0, "", 0, *first)
-        if found.decided_by is None:
-            return (0, found.decided_us, 0, "", 0, *first)
-        return (0, found.decided_us, 1, names[found.decided_by[0]], found.decided_by[1], *first)
-
     def _refs(self, rows: pa.Table) -> Iterable[EventRef]:
         columns = [rows.column(name).to_pylist() for name in (STREAM, SEQUENCE, TIME)]
         return (event_ref(each, self._streams.names) for each in zip(*columns, strict=True))
 
 
-def _as_table(rows: Rows) -> pa.Table:
+def decided_order(found: Found, names: Sequence[str]) -> tuple[Any, ...]:
+    """By deciding time, time itself before rows of that time, then by the deciding and the first event."""
+    stream, sequence, time_us = found.first
+    first = (time_us, names[stream], sequence)
+    if found.decided_us is None:
+        return (1, 0, 0, "", 0, *first)
+    if found.decided_by is None:
+        return (0, found.decided_us, 0, "", 0, *first)
+    return (0, found.decided_us, 1, names[found.decided_by[0]], found.decided_by[1], *first)
+
+
+def as_table(rows: Rows) -> pa.Table:
+    """The rows as a table."""
     return pa.Table.from_batches([rows]) if isinstance(rows, pa.RecordBatch) else rows
 
 
-def _newest_by_source(table: pa.Table) -> list[tuple[str, int]]:
+def newest_by_source(table: pa.Table) -> list[tuple[str, int]]:
     """For each source its newest time in microseconds."""
-    times = table.column("time").cast(pa.timestamp("us", table.column("time").type.tz)).cast(pa.int64())
-    sources = table.column("source")
-    newest = []
-    for source in sources.unique().to_pylist():
-        of_source = times.filter(pc.equal(sources, source))
-        newest.append((source, pc.max(of_source).as_py()))
-    return newest
+    times = table.column("time").cast(pa.timestamp("us", table.column("time").type.tz)).cast(pa.int64()).to_numpy()
+    sources = encoded(table.column("source"))
+    if len(sources.dictionary) == 1:
+        return [(sources.dictionary[0].as_py(), int(times.max()))]
+    newest = np.full(len(sources.dictionary), np.iinfo(np.int64).min)
+    numbers = sources.indices.to_numpy()
+    np.maximum.at(newest, numbers, times)
+    used = np.bincount(numbers, minlength=len(newest)) > 0
+    named = zip(sources.dictionary.to_pylist(), newest.tolist(), used.tolist(), strict=True)
+    return [(source, time) for source, time, is_used in named if is_used]
 
 
-def _wall_us(now: datetime) -> int:
+def wall_us(now: datetime) -> int:
+    """The time as whole microseconds since 1970."""
     value = as_microseconds(now)
     assert isinstance(value, int)
     return value
