@@ -7,11 +7,12 @@ from typing import Literal
 
 import pyarrow as pa
 
-from patterns.binder import bind, pattern_variables
+from patterns.binder import bind
 from patterns.bound import BoundRule
 from patterns.errors import Place, RuleError
 from patterns.expressions import Crosses, Expr, InZone, walk
 from patterns.parser import parse
+from patterns.pattern_variables import pattern_variables
 from patterns.rule import Rule
 
 
