@@ -26,6 +26,7 @@ from events.motion import ActivityInterval, TrackEnded, TrackEndedV1, TrackPoint
 from events.names import Source, Station, StreamName, TypeName, source_name, station_name, type_name
 from events.plates import PlateRead
 from events.proof import CheckpointSigned, LossRecorded
+from events.relations import GroupSeen, Occupancy, PairDistance, Tally
 from events.segment import (
     GENESIS,
     Draft,
@@ -59,12 +60,15 @@ __all__ = [
     "EventType",
     "Finite32",
     "Float32",
+    "GroupSeen",
     "Header",
     "InvalidEvent",
     "InvalidName",
     "JsonText",
     "LossRecorded",
     "MatchedRange",
+    "Occupancy",
+    "PairDistance",
     "Part",
     "PersonalBytes",
     "PersonalJson",
@@ -85,6 +89,7 @@ __all__ = [
     "Station",
     "StreamName",
     "SyncPlanned",
+    "Tally",
     "TrackEnded",
     "TrackEndedV1",
     "TrackPoint",

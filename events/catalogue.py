@@ -19,6 +19,7 @@ from events.model import EventType
 from events.motion import ActivityInterval, TrackEnded, TrackPoint
 from events.plates import PlateRead
 from events.proof import CheckpointSigned, LossRecorded
+from events.relations import GroupSeen, Occupancy, PairDistance, Tally
 from events.situations import RuleDeployed, SituationDetected
 from events.stations import SyncPlanned
 from events.work import ProcessFailed, ProcessFinished, ProcessProgressed, ProcessStarted
@@ -38,6 +39,10 @@ SHIPPED: tuple[type[EventType], ...] = (
     CheckpointSigned,
     LossRecorded,
     PlateRead,
+    PairDistance,
+    Occupancy,
+    GroupSeen,
+    Tally,
 )
 ENTRY_POINT_GROUP = "vian.events"
 

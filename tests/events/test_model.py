@@ -149,6 +149,9 @@ UNITS = {
     **dict.fromkeys(["vx", "vy"], "px/s"),
     **dict.fromkeys(["confidence", "_share_max"], "0 "),
     "_hash": "SHA-256",
+    "_px_s": "px/s",
+    "_s": "s",
+    "alignment": "-1 to 1",
 }
 
 
