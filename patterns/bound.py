@@ -8,10 +8,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from patterns.expressions import Expr, Kind, Which
-from patterns.geometry import FrameSize
 from patterns.limits import Limits
 from patterns.program import Instruction, Tables
 from patterns.rule import Rule
+from patterns.site import Site
 from patterns.syntax import SkipMode
 
 
@@ -76,7 +76,7 @@ class BoundRule:
         skip_variable: Index of the variable of SKIP TO.
         reach: How many rows before the row at hand any expression looks at.
         looks_back: Whether a match's first rows look at rows before the match.
-        frame_sizes: Known when bound, (width, height) in pixels.
+        site: What is known of the cameras when bound; a run goes on from a copy.
         limits: What the rule may use.
     """
 
@@ -100,5 +100,5 @@ class BoundRule:
     skip_variable: int | None
     reach: int
     looks_back: bool
-    frame_sizes: Mapping[str, FrameSize]
+    site: Site
     limits: Limits
