@@ -1,7 +1,7 @@
 """A backtest: the situations that a rule would have emitted over segments of the log, appending nothing.
 
 Contract: the segments come in order of position, each as one whole, as the processor gives them to a
-rule; so the drafts are, byte for byte, those that the processor would have appended. A row before
+rule; so `drafts_of` its matches are, byte for byte, what the processor would have appended. A row before
 `since` does not exist for the rule: it is as if it had been deployed there. Knows no log: who calls
 it brings the segments.
 """
@@ -17,7 +17,6 @@ import pyarrow.compute as pc
 
 from events import (
     Catalogue,
-    Draft,
     ProcessFailed,
     ProcessFinished,
     Segment,
@@ -29,7 +28,6 @@ from events import (
     with_envelope,
 )
 from patterns.bound import BoundRule
-from patterns.processor import drafts_of
 from patterns.running import RuleRun
 from patterns.situations import Match
 
@@ -40,20 +38,18 @@ CONTROL_TYPES = tuple(str(each.type_name) for each in (VideoAdded, ProcessFinish
 class Backtest:
     """One rule over segments of the log."""
 
-    def __init__(self, bound: BoundRule, catalogue: Catalogue, station: str, since: datetime | None = None) -> None:
+    def __init__(self, bound: BoundRule, catalogue: Catalogue, since: datetime | None = None) -> None:
         """Begin where nothing has happened.
 
         Args:
             bound: The rule.
             catalogue: The event types there are.
-            station: The station in whose streams the situations would go.
             since: Rows before this time take no part.
         """
         self.run = RuleRun(bound)
         self.segments_skipped = 0
         """Segments of a version unknown here, which took no part."""
         self._catalogue = catalogue
-        self._station = station
         self._since = since
 
     @property
@@ -61,15 +57,12 @@ class Backtest:
         """The event types whose segments it wants."""
         return (self.run.bound.type, *CONTROL_TYPES)
 
-    def take(self, segment: Segment) -> list[Draft]:
-        """The situations that this segment, the next in order of position, makes final, as they would be appended.
+    def take(self, segment: Segment) -> Sequence[Match]:
+        """The matches that this segment, the next in order of position, makes final.
 
         Raises:
             PatternError: The rule cannot go on; online it would be set aside here.
         """
-        return drafts_of(self.run.bound.rule, self._station, self._matches(segment))
-
-    def _matches(self, segment: Segment) -> Sequence[Match]:
         try:
             batch = decode(segment, self._catalogue)
         except UnknownType:
