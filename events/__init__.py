@@ -4,6 +4,7 @@ Event types, their catalogue, their columns, and the segment that holds a batch 
 package imports none of ViAn's others, knows no database and no network.
 """
 
+from events.camera import CameraCalibrated, SceneChanged, ZoneDefined, ZoneRemoved
 from events.catalogue import SHIPPED, Catalogue, load_catalogue
 from events.columns import EventBatch, batch_of, batch_of_type, events_of, schema_of, with_envelope
 from events.door import Allowed, allowed
@@ -50,6 +51,7 @@ __all__ = [
     "ActivityInterval",
     "Allowed",
     "AtDoor",
+    "CameraCalibrated",
     "Catalogue",
     "CheckpointSigned",
     "CorruptSegment",
@@ -77,6 +79,7 @@ __all__ = [
     "ProcessStarted",
     "Producer",
     "RuleDeployed",
+    "SceneChanged",
     "Segment",
     "Sequence",
     "Share32",
@@ -93,6 +96,8 @@ __all__ = [
     "UpcastFailed",
     "UtcTime",
     "VideoAdded",
+    "ZoneDefined",
+    "ZoneRemoved",
     "allowed",
     "batch_of",
     "batch_of_type",

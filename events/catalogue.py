@@ -12,6 +12,7 @@ from typing import Self
 
 import pyarrow as pa
 
+from events.camera import CameraCalibrated, SceneChanged, ZoneDefined, ZoneRemoved
 from events.columns import EventBatch, schema_of
 from events.errors import EventError, UnknownType, UpcastFailed
 from events.media import VideoAdded
@@ -38,6 +39,10 @@ SHIPPED: tuple[type[EventType], ...] = (
     CheckpointSigned,
     LossRecorded,
     PlateRead,
+    ZoneDefined,
+    ZoneRemoved,
+    CameraCalibrated,
+    SceneChanged,
 )
 ENTRY_POINT_GROUP = "vian.events"
 

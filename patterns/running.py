@@ -27,8 +27,26 @@ from patterns.matcher import Found
 from patterns.rows import SEQUENCE, STREAM, TIME, StreamNumbers, check_envelope, in_total_order, normalised
 from patterns.saved import Saved, decode, encode, partitions_from_json, partitions_to_json
 from patterns.situations import EventRef, Match, Narrator, as_microseconds, event_ref, nearest_time
+from patterns.titles import Scalar
 
 Rows: TypeAlias = pa.Table | pa.RecordBatch
+
+
+@dataclass(frozen=True, slots=True)
+class GivenUp:
+    """What a limit cost: partial matches of one partition that were forgotten.
+
+    Attributes:
+        partition: The partition columns and their values.
+        partial_matches: How many partial matches were forgotten; 0: only rows that one could have begun at.
+        why: The limit that was reached, in words.
+        since: The time of the first row of what was forgotten.
+    """
+
+    partition: dict[str, Scalar]
+    partial_matches: int
+    why: str
+    since: datetime
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,10 +56,16 @@ class Outcome:
     Attributes:
         matches: The matches that became final, in order.
         late: Rows that came after the watermark had passed them; they take part in no match.
+        given_up: What was forgotten because a limit was reached.
     """
 
     matches: tuple[Match, ...] = ()
     late: tuple[EventRef, ...] = ()
+    given_up: tuple[GivenUp, ...] = ()
+
+    def __add__(self, later: "Outcome") -> "Outcome":
+        """What this step and a later one led to."""
+        return Outcome(self.matches + later.matches, self.late + later.late, self.given_up + later.given_up)
 
 
 @dataclass(slots=True)
