@@ -12,14 +12,12 @@ from typing import Any
 import numpy as np
 
 from patterns.columns import Places
-from patterns.expressions import Call, Const, Crosses, Expr, InZone, Value
+from patterns.expressions import Call, Const, Crosses, Expr, InZone, Reference, Value
 from patterns.geometry import crosses_line, in_polygon
+from patterns.registers import UNSET, at_offset
 
 Guard = Callable[[Sequence[Any], Sequence[Any]], Any]
 """(values of the row at hand, registers) -> the value; None is NULL."""
-
-UNSET: tuple[()] = ()
-"""A register that nothing was written to: reads as NULL, but differs from a NULL that was written."""
 
 
 def compile_guard(expr: Expr, slots: dict[Expr, int], registers: dict[Expr, int], places: Places) -> Guard:
@@ -32,7 +30,7 @@ def compile_guard(expr: Expr, slots: dict[Expr, int], registers: dict[Expr, int]
         places: The zones and lines.
     """
     if expr in registers:
-        return _register(registers[expr])
+        return _register(expr, registers[expr])
     if expr in slots:
         return _slot(slots[expr])
     if isinstance(expr, Const):
@@ -53,7 +51,11 @@ def _operands(expr: Expr) -> tuple[Expr, ...]:
     return expr.operands
 
 
-def _register(index: int) -> Guard:
+def _register(expr: Expr, index: int) -> Guard:
+    if isinstance(expr, Reference) and expr.offset:
+        at = at_offset(expr.which, expr.offset)
+        return lambda row, registers: at(registers[index])
+
     def read(row: Sequence[Any], registers: Sequence[Any]) -> Any:
         value = registers[index]
         return None if value is UNSET else value

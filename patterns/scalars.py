@@ -13,9 +13,9 @@ from sqlglot import exp
 
 from patterns.errors import NotSupportedYet, RuleError
 from patterns.expressions import (
+    Aggregate,
     Column,
     Const,
-    Count,
     Crosses,
     Expr,
     InZone,
@@ -96,7 +96,7 @@ class _Translator:
             return column if self.scope.has_row else Reference(None, "last", column)
         if variable == self.scope.own:
             return column
-        return Reference(variable, "last", column)
+        return Reference((variable,), "last", column)
 
     def bare_column(self, identifier: exp.Expression) -> Column:
         name = identifier.name if identifier.args.get("quoted") else identifier.name.lower()
@@ -155,8 +155,8 @@ class _Translator:
 
     def framed(self, node: exp.Expression, expr: Expr) -> Expr:
         """The expression as one over a single row: row-local, or one reference around it all."""
-        frames = {(part.variable, part.which) for part in walk(expr) if isinstance(part, Reference)}
-        if any(isinstance(part, Count) for part in walk(expr)):
+        frames = {(part.variables, part.which) for part in walk(expr) if isinstance(part, Reference)}
+        if any(isinstance(part, Aggregate) for part in walk(expr)):
             self.refuse(f"COUNT inside {_named(node)}", node)
         if is_constant(expr):
             self.fail(f"{_named(node)} needs a column", node)
@@ -164,8 +164,8 @@ class _Translator:
             return expr
         if len(frames) > 1 or _has_free_column(expr):
             self.fail(f"{_named(node)} must read columns of one variable", node)
-        variable, which = frames.pop()
-        return Reference(variable, which, _without_references(expr))
+        variables, which = frames.pop()
+        return Reference(variables, which, _without_references(expr))
 
     def first(self, node: exp.Expression) -> Expr:
         return self.navigation(node, "first")
@@ -188,19 +188,24 @@ class _Translator:
         qualified = {self.variable(column) for column in node.this.find_all(exp.Column)}
         if len(qualified) > 1:
             self.fail(f"{name} must read columns of one variable", node)
-        return operand if which == "last" else Reference(qualified.pop(), "first", operand)
+        if which == "last":
+            return operand
+        variable = qualified.pop()
+        return Reference(None if variable is None else (variable,), "first", operand)
 
     def count(self, node: exp.Expression) -> Expr:
         counted = node.this
         if self.scope.clause == "WHERE":
             self.fail("COUNT has no meaning in WHERE", node)
         if isinstance(counted, exp.Star) and not node.expressions:
-            return Count(None, None)
+            return Aggregate(None, "rows", None, Kind.INT)
         if not isinstance(counted, exp.Column) or node.expressions:
             self.refuse("COUNT of anything but *, v.* or v.column", node)
+        variable = self.variable(counted)
+        variables = None if variable is None else (variable,)
         if isinstance(counted.this, exp.Star):
-            return Count(self.variable(counted), None)
-        return Count(self.variable(counted), self.bare_column(counted.this))
+            return Aggregate(variables, "rows", None, Kind.INT)
+        return Aggregate(variables, "values", self.bare_column(counted.this), Kind.INT)
 
     # Literals.
 
@@ -300,7 +305,7 @@ class _Translator:
         """The coordinates after the source of their row, or of the row at hand where they are of several."""
         source = Column("source", Kind.STRING)
         parts = [part for coordinate in coordinates for part in walk(coordinate)]
-        frames = {(part.variable, part.which) for part in parts if isinstance(part, Reference)}
+        frames = {(part.variables, part.which) for part in parts if isinstance(part, Reference)}
         if len(frames) == 1 and not any(_has_free_column(coordinate) for coordinate in coordinates):
             return (Reference(*frames.pop(), source), *coordinates)
         return (source if self.scope.has_row else Reference(None, "last", source), *coordinates)
