@@ -19,7 +19,7 @@ from events.model import EventType
 from events.motion import ActivityInterval, TrackEnded, TrackPoint
 from events.plates import PlateRead
 from events.proof import CheckpointSigned, LossRecorded
-from events.situations import RuleDeployed, SituationDetected
+from events.situations import RuleDeployed, RuleMissed, RuleRetired, SituationDetected, SituationShadowed
 from events.stations import SyncPlanned
 from events.work import ProcessFailed, ProcessFinished, ProcessProgressed, ProcessStarted
 
@@ -38,6 +38,9 @@ SHIPPED: tuple[type[EventType], ...] = (
     CheckpointSigned,
     LossRecorded,
     PlateRead,
+    SituationShadowed,
+    RuleRetired,
+    RuleMissed,
 )
 ENTRY_POINT_GROUP = "vian.events"
 
