@@ -32,7 +32,6 @@ from patterns.rows import (
     check_envelope,
     in_total_order,
     newest_by_source,
-    normalised,
 )
 from patterns.saved import Saved, decode, encode, partitions_from_json, partitions_to_json
 from patterns.situations import EventRef, Match, Narrator, as_microseconds, event_ref, nearest_time
@@ -120,9 +119,9 @@ class RuleRun:
         self._attach()
 
     @property
-    def input_type(self) -> str:
-        """The event type that the rule is written over."""
-        return self.bound.type
+    def input_types(self) -> frozenset[str]:
+        """The event types that the rule reads."""
+        return self.bound.types
 
     @property
     def watermark(self) -> datetime | None:
@@ -242,10 +241,11 @@ class RuleRun:
 
     def _take(self, table: pa.Table) -> tuple[EventRef, ...]:
         """Holds the rows that are in time; the others."""
-        rows = table.filter(pc.equal(table.column("type"), self.bound.type))
-        if rows.num_rows == 0:
+        arms = [each.rows(table, self._streams, self._engine.places) for each in self.bound.inputs]
+        arms = [rows for rows in arms if rows is not None and rows.num_rows]
+        if not arms:
             return ()
-        rows = normalised(rows, self.bound.columns, self._streams)
+        rows = pa.concat_tables(arms)
         late: tuple[EventRef, ...] = ()
         if self._clock.watermark_us is not None:
             is_late = np.asarray(rows.column(TIME)) < self._clock.watermark_us
