@@ -42,7 +42,15 @@ from events.segment import (
     header_bytes,
     parse_header,
 )
-from events.situations import MatchedRange, RuleDeployed, SituationDetected
+from events.situations import (
+    MatchedRange,
+    RuleDeployed,
+    RuleDeployedV1,
+    RuleMissed,
+    RuleRetired,
+    SituationDetected,
+    SituationShadowed,
+)
 from events.stations import SyncPlanned
 from events.work import ProcessFailed, ProcessFinished, ProcessProgressed, ProcessStarted
 
@@ -83,11 +91,15 @@ __all__ = [
     "ProcessStarted",
     "Producer",
     "RuleDeployed",
+    "RuleDeployedV1",
+    "RuleMissed",
+    "RuleRetired",
     "SceneChanged",
     "Segment",
     "Sequence",
     "Share32",
     "SituationDetected",
+    "SituationShadowed",
     "Source",
     "Station",
     "StreamName",

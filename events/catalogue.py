@@ -21,7 +21,7 @@ from events.motion import ActivityInterval, TrackEnded, TrackPoint
 from events.plates import PlateRead
 from events.proof import CheckpointSigned, LossRecorded
 from events.relations import GroupSeen, Occupancy, PairDistance, Tally
-from events.situations import RuleDeployed, SituationDetected
+from events.situations import RuleDeployed, RuleMissed, RuleRetired, SituationDetected, SituationShadowed
 from events.stations import SyncPlanned
 from events.work import ProcessFailed, ProcessFinished, ProcessProgressed, ProcessStarted
 
@@ -48,6 +48,9 @@ SHIPPED: tuple[type[EventType], ...] = (
     ZoneRemoved,
     CameraCalibrated,
     SceneChanged,
+    SituationShadowed,
+    RuleRetired,
+    RuleMissed,
 )
 ENTRY_POINT_GROUP = "vian.events"
 

@@ -21,8 +21,10 @@ from patterns.columns import arrow_type
 from patterns.durations import parse_duration
 from patterns.errors import FrameSizeUnknown, PatternError, Place, RuleError
 from patterns.expressions import Kind
+from patterns.ground import Calibration
 from patterns.rule import Case, Rule
 from patterns.running import match
+from patterns.site import Shape, Site
 from patterns.situations import Match
 from patterns.text import Passage
 
@@ -60,7 +62,7 @@ def run_tests(rule: Rule, schemas: Mapping[str, pa.Schema]) -> list[TestResult]:
 
 
 def _result(rule: Rule, schemas: Mapping[str, pa.Schema], index: int, case: Case) -> TestResult:
-    bound = bind(rule, schemas, case.frames)
+    bound = bind(rule, schemas, site=case_site(case))
     name = case.name or (case.given if isinstance(case.given, str) else f"test {index + 1}")
     try:
         rows = case_rows(bound, index)
@@ -80,6 +82,16 @@ def _result(rule: Rule, schemas: Mapping[str, pa.Schema], index: int, case: Case
     return TestResult(rule.rule, name, passed=not difference, difference=difference, place=place)
 
 
+def case_site(case: Case) -> Site:
+    """What the test says of the cameras."""
+    shapes: dict[str, list[Shape]] = {name: [zone] for name, zone in case.zones.items()}
+    shapes |= {name: [line] for name, line in case.lines.items()}
+    calibrations = {
+        source: Calibration(matrix, case.frames.get(source, (1, 1))) for source, matrix in case.calibrations.items()
+    }
+    return Site.of(case.frames, shapes, calibrations)
+
+
 def case_rows(bound: BoundRule, index: int) -> pa.Table:
     """The rows of the rule's test of this index.
 
@@ -87,13 +99,14 @@ def case_rows(bound: BoundRule, index: int) -> pa.Table:
         RuleError: The CSV file is not there, or a value is not of its column's type.
     """
     rule = bound.rule
-    given = rule.tests[index].given
+    case = rule.tests[index]
     passage = rule.passage("tests", index, "given")
     records: Iterable[Mapping[str, Any]] = (
-        csv_records(rule.folder / given, passage) if isinstance(given, str) else given
+        csv_records(rule.folder / case.given, passage) if isinstance(case.given, str) else case.given
     )
     kinds = _kinds(bound, passage)
-    sources = {shape.source for shape in (*rule.zones.values(), *rule.lines.values())}
+    shapes = (*rule.zones.values(), *rule.lines.values(), *case.zones.values(), *case.lines.values())
+    sources = {shape.source for shape in shapes} | set(case.calibrations)
     source = sources.pop() if len(sources) == 1 else "test"
     columns: dict[str, list[Any]] = {name: [] for name in kinds}
     only_type = next(iter(bound.types)) if len(bound.types) == 1 else None

@@ -16,10 +16,11 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from patterns.columns import ColumnEvaluator, Places, Rows, arrow_type
+from patterns.columns import ColumnEvaluator, Rows, arrow_type
 from patterns.durations import microseconds
 from patterns.errors import MatchError
 from patterns.expressions import Column, Const, Expr, Kind, column_names, is_row_local, reach, walk
+from patterns.places import Places
 from patterns.rows import SEQUENCE, STREAM, TIME, StreamNumbers, normalised
 from patterns.syntax import Arm, Scalar
 from patterns.text import Passage
@@ -128,6 +129,19 @@ class BoundArms:
         read = (*projected.values(), *(() if where is None else (where,)))
         kinds = {part.name: part.kind for expr in read for part in walk(expr) if isinstance(part, Column)}
         return Input(event_type, rule, {name: kinds[name] for name in sorted(column_names(read))}, where, projected)
+
+
+def rows_of(inputs: Sequence[Input], table: pa.Table, streams: StreamNumbers, places: Places) -> pa.Table | None:
+    """The rows that these events, of any types, are for a rule of these inputs; None if there are none.
+
+    Rows of several arms come arm by arm; of one event in the order of the arms, which the total order keeps.
+
+    Raises:
+        MatchError: A column that the rule reads is missing or of another type.
+    """
+    arms = [each.rows(table, streams, places) for each in inputs]
+    kept = [rows for rows in arms if rows is not None and rows.num_rows]
+    return pa.concat_tables(kept) if kept else None
 
 
 def _evaluator(events: pa.Table, places: Places) -> ColumnEvaluator:
