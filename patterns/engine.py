@@ -81,7 +81,6 @@ class Engine:
         Raises:
             MatchError: The rule cannot go on with these rows.
         """
-        rows = self._filtered(rows)
         if rows.num_rows == 0:
             return []
         grouped = self._grouped(rows)
@@ -119,12 +118,6 @@ class Engine:
         self._keep(key, state)
 
     # From rows to columns.
-
-    def _filtered(self, rows: pa.Table) -> pa.Table:
-        if self.bound.where is None or rows.num_rows == 0:
-            return rows
-        evaluator = ColumnEvaluator(Rows(rows, np.zeros(rows.num_rows, dtype=np.int64)), self.places)
-        return rows.filter(pa.array(evaluator.truth(self.bound.where)))
 
     def _grouped(self, rows: pa.Table) -> _Grouped:
         codes = partition_codes(rows, self.bound.keys)

@@ -125,8 +125,8 @@ def _unchecked(bound: BoundRule) -> list[Finding]:
 
 def _expressions(bound: BoundRule) -> tuple[Expr, ...]:
     guards = tuple(each.guard for each in bound.conditions if each.guard is not None)
-    where = () if bound.where is None else (bound.where,)
-    return (*bound.predicates, *bound.slots, *guards, *where, *(measure.value for measure in bound.measures))
+    read = [expr for each in bound.inputs for expr in (*each.projected.values(), each.where) if expr is not None]
+    return (*bound.predicates, *bound.slots, *guards, *read, *(measure.value for measure in bound.measures))
 
 
 def _warning(rule: Rule, message: str, *path: str) -> Finding:

@@ -155,7 +155,9 @@ class Processor:
         """Segments of a type or version unknown here, which took no part."""
         self._unknown = 0
         self._restore()
-        types = {each.type_name for each in _CONTROL} | {running.run.bound.type for running in self._running}
+        types = {each.type_name for each in _CONTROL} | {
+            name for running in self._running for name in running.run.input_types
+        }
         self._subscription = Subscription(log, "rules", types=sorted(types))
         self._subscription.position = self._first_position()
 
@@ -262,7 +264,7 @@ class Processor:
     ) -> Outcome:
         source = segment.stream.source
         outcomes: list[Outcome] = []
-        if segment.stream.type == running.run.bound.type:
+        if segment.stream.type in running.run.input_types:
             outcomes.append(running.run.push(rows))
         for number, event in enumerate(events):
             if isinstance(event, SITE_TYPES):
