@@ -10,6 +10,7 @@ import csv
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
+from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
@@ -25,6 +26,7 @@ from patterns.rule import Case, Rule
 from patterns.running import match
 from patterns.site import Shape, Site
 from patterns.situations import Match
+from patterns.text import Passage
 
 _FLOAT_TOLERANCE = 1e-9
 
@@ -98,8 +100,9 @@ def case_rows(bound: BoundRule, index: int) -> pa.Table:
     """
     rule = bound.rule
     case = rule.tests[index]
+    passage = rule.passage("tests", index, "given")
     records: Iterable[Mapping[str, Any]] = (
-        _csv_records(rule, index, case.given) if isinstance(case.given, str) else case.given
+        csv_records(rule.folder / case.given, passage) if isinstance(case.given, str) else case.given
     )
     kinds = {"time": Kind.TIME, "sequence": Kind.INT, "station": Kind.STRING, "type": Kind.STRING, **bound.columns}
     shapes = (*rule.zones.values(), *rule.lines.values(), *case.zones.values(), *case.lines.values())
@@ -111,11 +114,11 @@ def case_rows(bound: BoundRule, index: int) -> pa.Table:
         for name, kind in kinds.items():
             value = record.get(name)
             try:
-                columns[name].append(defaults.get(name) if value is None else _typed(value, kind))
+                columns[name].append(defaults.get(name) if value is None else typed(value, kind))
             except ValueError as error:
                 message = f"row {number}, column {name}: {error}"
-                raise rule.passage("tests", index, "given").error(message, 0) from error
-    arrays = {name: pa.array(values, _column_type(kinds[name])) for name, values in columns.items()}
+                raise passage.error(message, 0) from error
+    arrays = {name: pa.array(values, column_type(kinds[name])) for name, values in columns.items()}
     return pa.table(arrays)
 
 
@@ -130,15 +133,15 @@ def compared(wanted: Sequence[Mapping[str, Any]], found: Sequence[Match]) -> str
     for index in range(max(len(wanted), len(found))):
         want = wanted[index] if index < len(wanted) else None
         have = _said(found[index]) if index < len(found) else None
-        if want is not None and have is not None and _agrees(want, have):
-            lines.append(f"  {_shown(want)}")
+        if want is not None and have is not None and agrees(want, have):
+            lines.append(f"  {shown(want)}")
             continue
         is_equal = False
         if want is not None:
-            lines.append(f"- {_shown(want)}")
+            lines.append(f"- {shown(want)}")
         if have is not None:
             names = want or found[index].measures or found[index].partition
-            lines.append(f"+ {_shown({name: have.get(name, '(no such value)') for name in names})}")
+            lines.append(f"+ {shown({name: have.get(name, '(no such value)') for name in names})}")
     if wanted and not found:
         lines.append("+ (no situation)")
     if found and not wanted:
@@ -150,7 +153,8 @@ def _said(found: Match) -> dict[str, Any]:
     return {"title": found.title, **found.partition, **found.measures}
 
 
-def _agrees(want: Mapping[str, Any], have: Mapping[str, Any]) -> bool:
+def agrees(want: Mapping[str, Any], have: Mapping[str, Any]) -> bool:
+    """Whether all that is wanted is so; what is not named is not compared."""
     return all(name in have and _is_same(value, have[name]) for name, value in want.items())
 
 
@@ -164,7 +168,8 @@ def _is_same(want: Any, have: Any) -> bool:
     return bool(want == have)
 
 
-def _shown(values: Mapping[str, Any]) -> str:
+def shown(values: Mapping[str, Any]) -> str:
+    """The values on one line, as a test's file writes them."""
     return ", ".join(f"{name}: {_plain(value)}" for name, value in values.items()) or "(a situation)"
 
 
@@ -174,17 +179,21 @@ def _plain(value: Any) -> str:
     return f"{value.total_seconds():g} s" if isinstance(value, timedelta) else str(value)
 
 
-def _csv_records(rule: Rule, index: int, name: str) -> Iterable[Mapping[str, Any]]:
+def csv_records(path: Path, passage: Passage) -> list[Mapping[str, Any]]:
+    """The rows of a CSV file, empty cells left out.
+
+    Raises:
+        RuleError: The file cannot be read; it points at the passage that names it.
+    """
     try:
-        with (rule.folder / name).open(newline="", encoding="utf-8") as file:
+        with path.open(newline="", encoding="utf-8") as file:
             records = list(csv.DictReader(file))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        passage = rule.passage("tests", index, "given")
-        raise passage.error(f"cannot read {rule.folder / name}: {error}", 0) from error
+        raise passage.error(f"cannot read {path}: {error}", 0) from error
     return [{key: value for key, value in record.items() if value != ""} for record in records]
 
 
-def _typed(value: Any, kind: Kind) -> Any:
+def typed(value: Any, kind: Kind) -> Any:
     """A cell of a test as a value of this type.
 
     Raises:
@@ -209,5 +218,6 @@ def _time(value: Any) -> datetime:
     return time.replace(tzinfo=UTC) if time.tzinfo is None else time.astimezone(UTC)
 
 
-def _column_type(kind: Kind) -> Any:
+def column_type(kind: Kind) -> Any:
+    """The Arrow type in which a test's rows hold values of this kind."""
     return {Kind.TIME: pa.timestamp("us", "UTC"), Kind.DURATION: pa.duration("us")}.get(kind) or arrow_type(kind)

@@ -255,7 +255,7 @@ class Processor:
             running.failure = error
             logger.error("rule %s is set aside: %s", running.rule.rule, error)
             return []
-        return self._drafts(running.rule, matches)
+        return drafts_of(running.rule, self._station, matches)
 
     def _outcome(
         self, running: _Running, rows: pa.RecordBatch, events: Sequence[EventType], segment: Segment
@@ -276,15 +276,6 @@ class Processor:
         for late in whole.late:
             logger.warning("rule %s: %s/%d came too late", running.rule.rule, late.stream, late.sequence)
         return whole
-
-    def _drafts(self, rule: Rule, matches: Sequence[Match]) -> list[Draft]:
-        by_source: dict[str, list[SituationDetected]] = {}
-        for match in matches:
-            by_source.setdefault(str(match.partition.get("source") or SOURCE), []).append(situation_of(match))
-        return [
-            encode(StreamName.of(self._station, source, SituationDetected.type_name), batch_of(events), _producer(rule))
-            for source, events in by_source.items()
-        ]
 
     # Checkpoints.
 
@@ -328,6 +319,17 @@ class Processor:
 
     def _first_position(self) -> int:
         return min((each.saved for each in self._running if each.failure is None), default=self._log.head())
+
+
+def drafts_of(rule: Rule, station: str, matches: Sequence[Match]) -> list[Draft]:
+    """The matches as situations to append: one draft for each source, in order."""
+    by_source: dict[str, list[SituationDetected]] = {}
+    for match in matches:
+        by_source.setdefault(str(match.partition.get("source") or SOURCE), []).append(situation_of(match))
+    return [
+        encode(StreamName.of(station, source, SituationDetected.type_name), batch_of(events), _producer(rule))
+        for source, events in by_source.items()
+    ]
 
 
 def situation_of(match: Match) -> SituationDetected:

@@ -24,7 +24,16 @@ from patterns.emitter import Emitter
 from patterns.engine import Engine, Key
 from patterns.errors import StateError
 from patterns.matcher import Found
-from patterns.rows import SEQUENCE, STREAM, TIME, StreamNumbers, check_envelope, in_total_order, normalised
+from patterns.rows import (
+    SEQUENCE,
+    STREAM,
+    TIME,
+    StreamNumbers,
+    check_envelope,
+    in_total_order,
+    newest_by_source,
+    normalised,
+)
 from patterns.saved import Saved, decode, encode, partitions_from_json, partitions_to_json
 from patterns.site import Site
 from patterns.situations import EventRef, Match, Narrator, as_microseconds, event_ref, nearest_time
@@ -170,7 +179,7 @@ class RuleRun:
         if table.num_rows == 0:
             return Outcome()
         late = self._take(table)
-        for source, newest in _newest_by_source(table):
+        for source, newest in newest_by_source(table):
             self._clock.observe(source, newest)
         return Outcome(self._advance(), late)
 
@@ -203,7 +212,7 @@ class RuleRun:
         table = _as_table(rows)
         check_envelope(table)
         self._take(table)
-        for source, newest in _newest_by_source(table):
+        for source, newest in newest_by_source(table):
             self._clock.observe(source, newest)
 
     def state(self) -> bytes:
@@ -334,17 +343,6 @@ class RuleRun:
 
 def _as_table(rows: Rows) -> pa.Table:
     return pa.Table.from_batches([rows]) if isinstance(rows, pa.RecordBatch) else rows
-
-
-def _newest_by_source(table: pa.Table) -> list[tuple[str, int]]:
-    """For each source its newest time in microseconds."""
-    times = table.column("time").cast(pa.timestamp("us", table.column("time").type.tz)).cast(pa.int64())
-    sources = table.column("source")
-    newest = []
-    for source in sources.unique().to_pylist():
-        of_source = times.filter(pc.equal(sources, source))
-        newest.append((source, pc.max(of_source).as_py()))
-    return newest
 
 
 def _wall_us(now: datetime) -> int:
