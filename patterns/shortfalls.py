@@ -203,28 +203,41 @@ class _Asked:
     # Geometry.
 
     def in_zone(self, expr: InZone, is_wanted: bool) -> tuple[str, float]:
-        zone = self.judge.evaluator.places.zones[expr.zone]
+        places = self.judge.evaluator.places
+        zones = {each.source: each for each in places.zones_named(expr.zone)}
         source, x, y = (self.value(part) for part in expr.operands)
-        if source != zone.source:
-            return _elsewhere("zone", expr.zone, zone.source, source)
-        polygon = zone.polygon_px(self.judge.evaluator.places.frame_size(zone, expr.zone))
+        if source not in zones:
+            return _elsewhere("zone", expr.zone, sorted(zones), source)
+        zone = zones[source]
+        polygon = zone.polygon_px(places.frame_size(zone, expr.zone))
+        unit = "px"
+        if zone.units == "metres":
+            (x,), (y,) = places.ground(source, expr.zone, np.array([x]), np.array([y]))
+            unit = "m"
+        if not np.isfinite(x):
+            return "the point lies above the horizon", 5.0
         far = float(shapely.distance(polygon.exterior, shapely.Point(x, y)))
         side = "outside" if is_wanted else "inside"
-        return f"({x:.1f}, {y:.1f}) is {far:.1f} px {side}", _share(far, NEAR_PX)
+        return f"({x:.1f}, {y:.1f}) is {far:.1f} {unit} {side}", _share(far, NEAR_PX)
 
     def crosses(self, expr: Crosses, is_wanted: bool) -> tuple[str, float]:
-        line = self.judge.evaluator.places.lines[expr.line]
+        places = self.judge.evaluator.places
+        lines = {each.source: each for each in places.lines_named(expr.line)}
         source, *step = (self.value(part) for part in expr.operands)
-        if source != line.source:
-            return _elsewhere("line", expr.line, line.source, source)
-        points = line.points_px(self.judge.evaluator.places.frame_size(line, expr.line))
+        if source not in lines:
+            return _elsewhere("line", expr.line, sorted(lines), source)
+        line = lines[source]
+        points = line.points_px(places.frame_size(line, expr.line))
         if not is_wanted:
             return "the step crosses it", 0.5
+        if line.units == "metres":
+            return "the step does not cross it on the ground", 1.0
         return _why_no_crossing(points, step, expr.direction)
 
 
-def _elsewhere(what: str, name: str, wanted: str, got: Any) -> tuple[str, float]:
-    return f"{what} {name!r} is of source {wanted}, and this row is of {got}: never true", 5.0
+def _elsewhere(what: str, name: str, wanted: Sequence[str], got: Any) -> tuple[str, float]:
+    of = f"of source {', '.join(wanted)}" if wanted else "not drawn for any source"
+    return f"{what} {name!r} is {of}, and this row is of {got}: never true", 5.0
 
 
 def _why_no_crossing(points: Any, step: Sequence[float], direction: str) -> tuple[str, float]:

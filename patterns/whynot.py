@@ -16,11 +16,13 @@ import pyarrow.compute as pc
 
 from patterns.attempts import Attempts, Best, Refused, Taken
 from patterns.bound import BoundRule
-from patterns.columns import ColumnEvaluator, Places, Rows
+from patterns.columns import ColumnEvaluator, Rows
 from patterns.durations import MICROSECOND
 from patterns.geometry import FrameSize
+from patterns.places import Places
 from patterns.rows import SEQUENCE, STREAM, TIME, StreamNumbers, in_total_order, normalised
 from patterns.shortfalls import Judge
+from patterns.site import Site
 from patterns.situations import EventRef, Match, as_microseconds, as_python, nearest_time
 
 ROWS_MOST = 5_000
@@ -153,6 +155,10 @@ class _Partition:
         return EventRef(self.streams.names[stream], sequence, nearest_time(time_us))
 
 
+def _site(bound: BoundRule, frame_sizes: Mapping[str, FrameSize]) -> Site:
+    return Site(dict(frame_sizes), bound.site.copy().versions)
+
+
 class _Case:
     """One question."""
 
@@ -160,7 +166,7 @@ class _Case:
         self.bound = bound
         self.question = question
         self.past = past
-        self.places = Places(bound.rule.zones, bound.rule.lines, past.frame_sizes)
+        self.places = Places(bound.rule.zones, bound.rule.lines, _site(bound, past.frame_sizes))
         self.notes: list[str] = []
 
     def answer(self) -> Answer:
