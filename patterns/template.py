@@ -143,7 +143,7 @@ def filled_in(values: Mapping[str, Any], passages: dict[KeyPath, Passage]) -> Ma
         return values
     place = passages["template",]
     name = values["template"]
-    if name not in templates():
+    if not isinstance(name, str) or name not in templates():
         have = ", ".join(templates())
         raise place.error(f"template: unknown template {name!r}; there are: {have}{_like(name, templates())}", 0)
     for key in ("match", "params"):
@@ -196,8 +196,17 @@ def expanded(template: Template, values: Mapping[str, Any], passages: Mapping[Ke
 
 @cache
 def _environment() -> Environment:
-    return Environment(undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True,
-                       autoescape=False)  # fmt: skip
+    return Environment(
+        variable_start_string="<<",
+        variable_end_string=">>",
+        block_start_string="<%",
+        block_end_string="%>",
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+        autoescape=False,
+    )
 
 
 def _like(name: Any, known: Mapping[str, Any]) -> str:
