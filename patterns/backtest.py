@@ -1,7 +1,7 @@
 """A backtest: the situations that a rule would have emitted over segments of the log, appending nothing.
 
 Contract: the segments come in order of position, each as one whole, as the processor gives them to a
-rule; so `drafts_of` its matches are, byte for byte, what the processor would have appended. A row before
+rule; so the drafts of its matches are, byte for byte, what the processor would have appended. A row before
 `since` does not exist for the rule: it is as if it had been deployed there. Knows no log: who calls
 it brings the segments.
 """
@@ -28,7 +28,8 @@ from events import (
     with_envelope,
 )
 from patterns.bound import BoundRule
-from patterns.running import RuleRun
+from patterns.geometry import FrameSize
+from patterns.running import Outcome, RuleRun
 from patterns.situations import Match
 
 CONTROL_TYPES = tuple(str(each.type_name) for each in (VideoAdded, ProcessFinished, ProcessFailed))
@@ -49,6 +50,8 @@ class Backtest:
         self.run = RuleRun(bound)
         self.segments_skipped = 0
         """Segments of a version unknown here, which took no part."""
+        self.frame_sizes: dict[str, FrameSize] = {}
+        """For each source the size of its frames so far, (width, height) in pixels."""
         self._catalogue = catalogue
         self._since = since
 
@@ -57,8 +60,8 @@ class Backtest:
         """The event types whose segments it wants."""
         return (self.run.bound.type, *CONTROL_TYPES)
 
-    def take(self, segment: Segment) -> Sequence[Match]:
-        """The matches that this segment, the next in order of position, makes final.
+    def take(self, segment: Segment) -> Outcome:
+        """What this segment, the next in order of position, leads to.
 
         Raises:
             PatternError: The rule cannot go on; online it would be set aside here.
@@ -67,19 +70,18 @@ class Backtest:
             batch = decode(segment, self._catalogue)
         except UnknownType:
             self.segments_skipped += 1
-            return ()
+            return Outcome()
         source = segment.stream.source
         if segment.stream.type == self.run.bound.type:
-            return self.run.push(
-                self._rows(with_envelope(segment.stream, segment.header.first_sequence, batch))
-            ).matches
+            return self.run.push(self._rows(with_envelope(segment.stream, segment.header.first_sequence, batch)))
         matches: list[Match] = []
         for event in events_of(batch):
             if isinstance(event, VideoAdded):
+                self.frame_sizes[source] = (event.width, event.height)
                 self.run.set_frame_size(source, event.width, event.height)
             elif isinstance(event, ProcessFinished | ProcessFailed):
                 matches += self.run.source_ended(source).matches
-        return matches
+        return Outcome(tuple(matches))
 
     def _rows(self, rows: pa.RecordBatch) -> pa.RecordBatch:
         if self._since is None:

@@ -4,6 +4,7 @@ Parameters appear as their values, and a column of the row at hand under the nam
 the row was tried as, so that a condition can be read without the rule beside it.
 """
 
+from datetime import datetime
 from typing import Any
 
 from patterns.expressions import (
@@ -50,7 +51,7 @@ def told_value(value: Any, kind: Kind) -> str:
     if value is None:
         return "NULL"
     if kind is Kind.TIME:
-        return nearest_time(value).isoformat().replace("+00:00", "Z")
+        return told_time(nearest_time(value))
     if kind is Kind.DURATION:
         return told_duration(value)
     if kind is Kind.STRING:
@@ -58,6 +59,17 @@ def told_value(value: Any, kind: Kind) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     return told_number(value)
+
+
+def told_time(time: datetime) -> str:
+    """The time in UTC with as many digits as it has.
+
+    >>> from datetime import UTC
+    >>> told_time(datetime(2026, 1, 1, 10, 0, 9, 200_000, tzinfo=UTC))
+    '2026-01-01T10:00:09.2Z'
+    """
+    text = time.isoformat().removesuffix("+00:00")
+    return f"{text.rstrip('0') if '.' in text else text}Z"
 
 
 def told_number(value: float) -> str:
