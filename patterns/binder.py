@@ -38,6 +38,7 @@ from patterns.program import ProgramTooLarge, Tables, compile_pattern, tabulate
 from patterns.rule import Rule
 from patterns.scalars import translate
 from patterns.scope import Scope
+from patterns.site import Site
 from patterns.syntax import (
     Alternation,
     Anchor,
@@ -67,6 +68,7 @@ def bind(
     schemas: Mapping[str, pa.Schema],
     frame_sizes: Mapping[str, FrameSize] | None = None,
     limits: Limits | None = None,
+    site: Site | None = None,
 ) -> BoundRule:
     """The rule, ready to run.
 
@@ -75,13 +77,20 @@ def bind(
         schemas: The event types there are, and the columns of each; the envelope's need not be among them.
         frame_sizes: For each source whose frame size is known, its (width, height) in pixels.
         limits: What the rule may use.
+        site: What else is known of the cameras: shared zones and lines, calibrations, frame sizes.
 
     Raises:
         RuleError: A name that is not there, operands of wrong types, a pattern that can never match.
         NotSupportedYet: SQL outside what this version understands.
     """
     query = parse(rule.passage("match"))
-    return _Binder(rule, query, schemas, limits or Limits()).bound(dict(frame_sizes or {}))
+    return _Binder(rule, query, schemas, limits or Limits()).bound(_site(site, frame_sizes))
+
+
+def _site(site: Site | None, frame_sizes: Mapping[str, FrameSize] | None) -> Site:
+    known = Site() if site is None else site.copy()
+    known.frame_sizes.update(frame_sizes or {})
+    return known
 
 
 @dataclass(slots=True)
@@ -110,7 +119,7 @@ class _Binder:
         self.variables = shown
         self.indices = {name: index for index, name in enumerate(shown.values())}
 
-    def bound(self, frame_sizes: Mapping[str, FrameSize]) -> BoundRule:
+    def bound(self, site: Site) -> BoundRule:
         query, clause = self.query, self.clause
         self.check_order()
         self.check_rows()
@@ -151,7 +160,7 @@ class _Binder:
             skip_variables=skip_variables,
             reach=max((reach(expr) for expr in read), default=0),
             looks_back=self.looks_back(tables, conditions),
-            frame_sizes=frame_sizes,
+            site=site,
             limits=self.limits,
         )
         self.check_can_match(bound)
@@ -214,8 +223,9 @@ class _Binder:
             own=own,
             has_row=has_row,
             params=self.rule.params,
-            zones=self.rule.zones,
-            lines=self.rule.lines,
+            zones=frozenset(self.rule.zones),
+            lines=frozenset(self.rule.lines),
+            shared=frozenset(self.rule.shared),
         )
 
     # Clauses.

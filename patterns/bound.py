@@ -9,10 +9,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 from patterns.expressions import Expr, Kind
-from patterns.geometry import FrameSize
 from patterns.limits import Limits
 from patterns.program import Instruction, Tables
 from patterns.rule import Rule
+from patterns.site import Site
 from patterns.syntax import SkipMode
 
 How = Literal["first", "last", "rows", "values", "sum", "min", "max", "list"]
@@ -93,7 +93,7 @@ class BoundRule:
         skip_variables: Indices of the variables that SKIP TO means; several, if it names a SUBSET.
         reach: How many rows before the row at hand any expression looks at.
         looks_back: Whether a match's first rows look at rows before the match.
-        frame_sizes: Known when bound, (width, height) in pixels.
+        site: What is known of the cameras when bound; a run goes on from a copy.
         limits: What the rule may use.
     """
 
@@ -117,5 +117,5 @@ class BoundRule:
     skip_variables: tuple[int, ...]
     reach: int
     looks_back: bool
-    frame_sizes: Mapping[str, FrameSize]
+    site: Site
     limits: Limits

@@ -17,14 +17,15 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from patterns.bound import BoundRule, Register
-from patterns.columns import ColumnEvaluator, Places, Rows
+from patterns.columns import ColumnEvaluator, Rows
 from patterns.errors import LimitError
 from patterns.expressions import walk
-from patterns.geometry import FrameSize
 from patterns.guards import compile_guard
 from patterns.matcher import Block, Found, Machine, Matcher, Partition
+from patterns.places import Places
 from patterns.registers import Update, initial, update_of
 from patterns.rows import SEQUENCE, STREAM, TIME, partition_codes
+from patterns.site import Site
 
 Key = tuple[Any, ...]
 
@@ -64,9 +65,9 @@ class _Grouped:
 class Engine:
     """Runs one rule. Partitions are independent; those with nothing to remember are forgotten."""
 
-    def __init__(self, bound: BoundRule, frame_sizes: dict[str, FrameSize]) -> None:
+    def __init__(self, bound: BoundRule, site: Site) -> None:
         self.bound = bound
-        self.places = Places(bound.rule.zones, bound.rule.lines, frame_sizes)
+        self.places = Places(bound.rule.zones, bound.rule.lines, site)
         self.masks = tuple(sum(1 << at for at in each.predicates) for each in bound.conditions)
         self.matcher = Matcher(machine_of(bound, self.places, self.masks))
         self.open: dict[Key, Open] = {}

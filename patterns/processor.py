@@ -34,7 +34,6 @@ from events import (
     SituationDetected,
     StreamName,
     UnknownType,
-    VideoAdded,
     batch_of,
     decode,
     encode,
@@ -46,6 +45,7 @@ from patterns.binder import bind
 from patterns.errors import PatternError
 from patterns.rule import Rule
 from patterns.running import Outcome, RuleRun
+from patterns.site import SITE_TYPES
 from patterns.situations import Match
 from store import Log, Subscription, Transaction
 
@@ -53,7 +53,7 @@ logger = logging.getLogger(__name__)
 
 SOURCE = "rules"
 """Source of deployments, and of situations of a rule that is not partitioned by source."""
-_CONTROL: tuple[type[EventType], ...] = (VideoAdded, ProcessFinished, ProcessFailed)
+_CONTROL: tuple[type[EventType], ...] = (*SITE_TYPES, ProcessFinished, ProcessFailed)
 
 
 @dataclass(frozen=True, slots=True)
@@ -264,9 +264,9 @@ class Processor:
         outcomes: list[Outcome] = []
         if segment.stream.type == running.run.bound.type:
             outcomes.append(running.run.push(rows))
-        for event in events:
-            if isinstance(event, VideoAdded):
-                running.run.set_frame_size(source, event.width, event.height)
+        for number, event in enumerate(events):
+            if isinstance(event, SITE_TYPES):
+                running.run.learn(event, str(segment.stream), segment.header.first_sequence + number)
             else:
                 outcomes.append(running.run.source_ended(source))
         whole = Outcome(
@@ -354,7 +354,7 @@ def situation_of(match: Match) -> SituationDetected:
                 last_sequence=each.last_sequence,
                 events=each.rows,
             )
-            for variable, ranges in match.lineage.items()
+            for variable, ranges in (*match.lineage.items(), *match.judged_by.items())
             for each in ranges
         ),
     )
