@@ -16,6 +16,8 @@ from patterns.expressions import (
     Expr,
     InZone,
     Kind,
+    OneOf,
+    OnGround,
     Reference,
     Shift,
     operands,
@@ -24,6 +26,7 @@ from patterns.situations import nearest_time
 
 _INFIX = {**{op: f" {op} " for op in (*COMPARISONS, "+", "-", "*", "/", "%")}, "and": " AND ", "or": " OR "}
 _INFIX |= {"ratio": " / ", "scale": " * ", "shrink": " / "}
+_VALUES_SHOWN = 4
 _LOOSENESS = {"or": 6, "and": 5, "not": 4, **dict.fromkeys(COMPARISONS, 3), "is_null": 3, "+": 2, "-": 2}
 
 
@@ -41,6 +44,10 @@ def told(expr: Expr, variable: str) -> str:
         return f"in_zone({_listed(expr.operands[1:], variable)}, '{expr.zone}')"
     if isinstance(expr, Crosses):
         return f"crosses({_listed(expr.operands[1:], variable)}, '{expr.line}', '{expr.direction}')"
+    if isinstance(expr, OnGround):
+        return f"ground_{expr.what}({_listed(expr.operands[1:], variable)})"
+    if isinstance(expr, OneOf):
+        return f"{told(expr.operands[0], variable)} IN {_told_values(expr)}"
     if isinstance(expr, Call):
         return _told_call(expr, variable)
     return _told_other(expr, variable)
@@ -128,6 +135,13 @@ def _bracketed(expr: Expr, variable: str, outside: int) -> str:
     text = told(expr, variable)
     is_looser = isinstance(expr, Call) and _LOOSENESS.get(expr.op, 1) > outside
     return f"({text})" if is_looser else text
+
+
+def _told_values(expr: OneOf) -> str:
+    """The list, its beginning only where it is long."""
+    shown = sorted(expr.values, key=str)
+    listed = ", ".join(told_value(value, expr.operands[0].kind) for value in shown[:_VALUES_SHOWN])
+    return f"({listed}{f', ... {len(shown)} in all' if len(shown) > _VALUES_SHOWN else ''})"
 
 
 def _told_other(expr: Expr, variable: str) -> str:

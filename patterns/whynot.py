@@ -16,11 +16,13 @@ import pyarrow.compute as pc
 
 from patterns.attempts import Attempts, Best, Refused, Taken
 from patterns.bound import BoundRule
-from patterns.columns import ColumnEvaluator, Places, Rows
+from patterns.columns import ColumnEvaluator, Rows
 from patterns.durations import MICROSECOND
-from patterns.geometry import FrameSize
+from patterns.geometry import Line, Zone
+from patterns.places import Places
 from patterns.rows import SEQUENCE, STREAM, TIME, StreamNumbers, in_total_order, normalised
 from patterns.shortfalls import Judge
+from patterns.site import Site
 from patterns.situations import EventRef, Match, as_microseconds, as_python, nearest_time
 from patterns.telling import told_time
 
@@ -75,7 +77,7 @@ class Past:
         rows: Rows of the rule's input in the window, in any order, with the envelope.
         late: Stream and sequence of those that came too late to take part.
         decided: The rule's matches in the window, in the order in which they were decided.
-        frame_sizes: For each source the size of its frames, (width, height) in pixels.
+        site: What the log said of the cameras.
         watermark: No row before this time is still expected; None: the input has ended, all is final.
         is_cut_before: Whether there are earlier rows than those of the window.
         is_cut_after: Whether there are later ones.
@@ -84,7 +86,7 @@ class Past:
     rows: pa.Table
     late: frozenset[tuple[str, int]] = frozenset()
     decided: Sequence[Decided] = ()
-    frame_sizes: Mapping[str, FrameSize] = field(default_factory=dict)
+    site: Site = field(default_factory=Site)
     watermark: datetime | None = None
     is_cut_before: bool = False
     is_cut_after: bool = False
@@ -161,7 +163,7 @@ class _Case:
         self.bound = bound
         self.question = question
         self.past = past
-        self.places = Places(bound.rule.zones, bound.rule.lines, past.frame_sizes)
+        self.places = Places(bound.rule.zones, bound.rule.lines, past.site)
         self.notes: list[str] = []
 
     def answer(self) -> Answer:
@@ -298,13 +300,22 @@ class _Case:
     def _note_elsewhere(self, partition: _Partition) -> None:
         """Notes zones and lines that no row of the partition can ever meet."""
         sources = set(partition.table.column("source").to_pylist())
-        for what, shapes in (("zone", self.bound.rule.zones), ("line", self.bound.rule.lines)):
-            self.notes += [
-                f"{what} {name!r} is of source {shape.source}, and all rows here are of {', '.join(sorted(sources))}: "
-                "no condition on it is ever true"
-                for name, shape in shapes.items()
-                if shape.source not in sources
-            ]
+        rule = self.bound.rule
+        shapes: dict[str, Sequence[Zone | Line]] = {
+            **{f"zone {name!r}": self.places.zones_named(name) for name in rule.zones},
+            **{f"line {name!r}": self.places.lines_named(name) for name in rule.lines},
+            **{
+                f"shared {name!r}": [*self.places.zones_named(name), *self.places.lines_named(name)]
+                for name in rule.shared
+            },
+        }
+        for what, known in shapes.items():
+            there = sorted({each.source for each in known})
+            if not sources & set(there):
+                self.notes.append(
+                    f"{what} is of source {', '.join(there) or '(none)'}, and all rows here are of "
+                    f"{', '.join(sorted(sources))}: no condition on it is ever true"
+                )
 
     def _as_python(self, partition: _Partition) -> dict[str, object]:
         return {name: as_python(value, self.bound.columns[name]) for name, value in partition.key.items()}

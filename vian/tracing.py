@@ -4,8 +4,12 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from patterns.geometry import FrameSize
+import numpy as np
+
+from patterns.geometry import FrameSize, Line, Zone
+from patterns.places import Places
 from patterns.rule import Rule
+from patterns.site import Site
 from store import Log
 from vian.drawings import Dot, Drawing, Mark, Point, Shape
 from vian.footage import footage_of
@@ -33,7 +37,7 @@ class Scene:
     captions: Sequence[str] = ()
 
 
-def traced(log: Log, rule: Rule | None, scene: Scene) -> tuple[Drawing, str]:
+def traced(log: Log, rule: Rule | None, site: Site, scene: Scene) -> tuple[Drawing, str]:
     """The scene as a drawing, and why it shows no picture; empty if it does."""
     key = scene.key_row
     footage = footage_of(log, key["station"], key["source"], key["time"], key.get("frame"))
@@ -44,7 +48,7 @@ def traced(log: Log, rule: Rule | None, scene: Scene) -> tuple[Drawing, str]:
     drawing = Drawing(
         size=size,
         picture=footage.picture,
-        shapes=[] if rule is None else shapes_of(rule, key["source"], size),
+        shapes=[] if rule is None else shapes_of(rule, site, key["source"], size),
         trail=[point for row in scene.trail if (point := place_of(row)) is not None and row["source"] == key["source"]],
         dots=_dots(rows),
         marks=[Mark(at, text) for row, text in scene.marked if (at := place_of(row)) is not None],
@@ -62,19 +66,33 @@ def place_of(row: Row) -> Point | None:
     return None if box is None else ((box[0] + box[2]) / 2, (box[1] + box[3]) / 2)
 
 
-def shapes_of(rule: Rule, source: str, size: FrameSize) -> list[Shape]:
-    """The rule's zones and lines of the source, in pixels."""
-    zones = [
-        Shape(name, _points(zone.scaled(zone.polygon, size)), is_zone=True)
-        for name, zone in rule.zones.items()
-        if zone.source == source
+def shapes_of(rule: Rule, site: Site, source: str, size: FrameSize) -> list[Shape]:
+    """The zones and lines that the rule knows at the source, own and shared, in pixels of a frame of this size."""
+    places = Places(rule.zones, rule.lines, site)
+    zones = {name: places.zones_named(name) for name in (*rule.zones, *rule.shared)}
+    lines = {name: places.lines_named(name) for name in (*rule.lines, *rule.shared)}
+    corners = [
+        *((name, each, each.polygon, True) for name, known in zones.items() for each in known),
+        *((name, each, each.points, False) for name, known in lines.items() for each in known),
     ]
-    lines = [
-        Shape(name, _points(line.points_px(size)), is_zone=False)
-        for name, line in rule.lines.items()
-        if line.source == source
+    return [
+        Shape(name, points, is_zone)
+        for name, shape, written, is_zone in corners
+        if shape.source == source and (points := _pixels(shape, written, site, size))
     ]
-    return zones + lines
+
+
+def _pixels(shape: Zone | Line, written: tuple[Point, ...], site: Site, size: FrameSize) -> list[Point]:
+    """The shape's points in pixels; none if they are in metres and the camera is not calibrated."""
+    if shape.units != "metres":
+        return _points(shape.scaled(written, size))
+    calibration = site.calibration(shape.source)
+    if calibration is None:
+        return []
+    ground = np.array([(east, north, 1.0) for east, north in written])
+    mapped = ground @ np.linalg.inv(np.asarray(calibration.matrix)).T
+    scale = np.asarray(size) / np.asarray(calibration.frame_size)
+    return _points(mapped[:, :2] / mapped[:, 2:] * scale)
 
 
 def _points(pixels: Iterable[Any]) -> list[Point]:

@@ -50,7 +50,7 @@ def past_of(log: Log, bound: BoundRule, question: Question) -> Past:
         rows=pa.concat_tables(batches) if batches else _nothing(log, bound),
         late=frozenset(late),
         decided=[each for each in _decided(bound, matches) if _is_near(each.match, begin, end)],
-        frame_sizes=backtest.frame_sizes,
+        site=backtest.site,
         watermark=backtest.run.watermark,
         is_cut_before=any(True for _ in _earlier_segments(log, bound, begin)),
         is_cut_after=is_cut_after,

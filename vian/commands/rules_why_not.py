@@ -200,7 +200,7 @@ def _draw(log: Log, bound: BoundRule, past: Past, answer: Answer, file: Path, ou
             *(answer.nearest.shortfalls if answer.nearest else ()),
         ],
     )
-    drawing, missing = traced(log, bound.rule, scene)
+    drawing, missing = traced(log, bound.rule, past.site, scene)
     write_png(drawn(drawing), file)
     if missing:
         output.note(f"drawn without a picture: {missing}")
