@@ -109,6 +109,7 @@ class Rule(_Frozen):
     time: TimeSettings = TimeSettings()
     emit: EmitSettings = EmitSettings()
     profile: Literal["full", "portable"] = "full"
+    shadow: bool = Field(default=False, strict=True)
     match: str = Field(min_length=1)
     tests: tuple[Case, ...] = ()
 
