@@ -12,12 +12,12 @@ from dataclasses import dataclass, field
 import pyarrow as pa
 
 from patterns.bound import BoundRule, Condition, Output, Register
-from patterns.errors import RuleError
+from patterns.errors import NotSupportedYet, RuleError
 from patterns.expressions import (
+    Aggregate,
     Call,
     Column,
     Const,
-    Count,
     Expr,
     Kind,
     Reference,
@@ -38,7 +38,21 @@ from patterns.program import ProgramTooLarge, Tables, compile_pattern, tabulate
 from patterns.rule import Rule
 from patterns.scalars import translate
 from patterns.scope import Scope
-from patterns.syntax import Alternation, Concatenation, Identifier, Pattern, Query, Repetition, Scalar, Variable
+from patterns.site import Site
+from patterns.syntax import (
+    Alternation,
+    Anchor,
+    Concatenation,
+    Exclusion,
+    Identifier,
+    Pattern,
+    Permutation,
+    Query,
+    Repetition,
+    RowsPerMatch,
+    Scalar,
+    Variable,
+)
 from patterns.titles import check_formats, title_fields
 
 PREDICATES_MOST = 63
@@ -54,6 +68,7 @@ def bind(
     schemas: Mapping[str, pa.Schema],
     frame_sizes: Mapping[str, FrameSize] | None = None,
     limits: Limits | None = None,
+    site: Site | None = None,
 ) -> BoundRule:
     """The rule, ready to run.
 
@@ -62,13 +77,20 @@ def bind(
         schemas: The event types there are, and the columns of each; the envelope's need not be among them.
         frame_sizes: For each source whose frame size is known, its (width, height) in pixels.
         limits: What the rule may use.
+        site: What else is known of the cameras: shared zones and lines, calibrations, frame sizes.
 
     Raises:
         RuleError: A name that is not there, operands of wrong types, a pattern that can never match.
         NotSupportedYet: SQL outside what this version understands.
     """
     query = parse(rule.passage("match"))
-    return _Binder(rule, query, schemas, limits or Limits()).bound(dict(frame_sizes or {}))
+    return _Binder(rule, query, schemas, limits or Limits()).bound(_site(site, frame_sizes))
+
+
+def _site(site: Site | None, frame_sizes: Mapping[str, FrameSize] | None) -> Site:
+    known = Site() if site is None else site.copy()
+    known.frame_sizes.update(frame_sizes or {})
+    return known
 
 
 @dataclass(slots=True)
@@ -87,29 +109,32 @@ class _Binder:
     def __init__(self, rule: Rule, query: Query, schemas: Mapping[str, pa.Schema], limits: Limits) -> None:
         self.rule = rule
         self.query = query
+        self.clause = query.clause
         self.limits = limits
         self.parts = _Parts()
         self.columns, self.unreadable = self.readable_columns(schemas)
         shown: dict[str, str] = {}
-        for name in pattern_variables(query.pattern):
+        for name in pattern_variables(query.clause.pattern):
             shown.setdefault(name.key, name.name)
         self.variables = shown
         self.indices = {name: index for index, name in enumerate(shown.values())}
 
-    def bound(self, frame_sizes: Mapping[str, FrameSize]) -> BoundRule:
-        query = self.query
-        keys = tuple(self.key(column) for column in query.partition_by)
+    def bound(self, site: Site) -> BoundRule:
+        query, clause = self.query, self.clause
+        self.check_order()
+        self.check_rows()
+        keys = tuple(self.key(column) for column in clause.partition_by)
         where = self.condition_of(query.where, "WHERE", None) if query.where else None
         conditions = self.conditions()
         measures = self.measures()
         title_columns = self.title_columns(measures, keys)
-        within_us = self.within(query.within) if query.within else None
-        skip_variable = self.skip_variable()
+        within_us = self.within(clause.within) if clause.within else None
+        skip_variables = self.skip_variables()
         try:
-            program = compile_pattern(query.pattern, tuple(self.variables), self.limits.positions)
+            program = compile_pattern(clause.pattern, tuple(self.variables), self.limits.positions)
             tables = tabulate(program)
         except ProgramTooLarge as error:
-            raise query.passage.error(f"PATTERN: {error}", query.pattern_at) from error
+            raise query.passage.error(f"PATTERN: {error}", clause.pattern_at) from error
         self.check_once_per(measures, keys)
         parts = self.parts
         read = (*parts.predicates, *parts.slots, *((where,) if where is not None else ()))
@@ -131,11 +156,11 @@ class _Binder:
             measures=measures,
             title_columns=title_columns,
             within_us=within_us,
-            skip=query.skip.mode,
-            skip_variable=skip_variable,
+            skip=clause.skip.mode,
+            skip_variables=skip_variables,
             reach=max((reach(expr) for expr in read), default=0),
             looks_back=self.looks_back(tables, conditions),
-            frame_sizes=frame_sizes,
+            site=site,
             limits=self.limits,
         )
         self.check_can_match(bound)
@@ -164,6 +189,30 @@ class _Binder:
         have = ", ".join(sorted(self.columns))
         raise self.error(f"PARTITION BY: unknown column {column.name!r}; there are: {have}", column.at)
 
+    def check_order(self) -> None:
+        """Checks that events stand in the one order that a rule has."""
+        order = self.clause.order_by
+        for index, ordering in enumerate(order):
+            name, at = ordering.column.name, ordering.column.at
+            if index > 1:
+                raise self.refusal("ORDER BY more than time and sequence", at)
+            if ordering.column.key != ("TIME", "SEQUENCE")[index]:
+                raise self.refusal(f"ORDER BY {name} (only time and sequence order events)", at)
+            if ordering.is_descending or ordering.nulls_first is not None:
+                raise self.refusal("ORDER BY ... " + ("DESC" if ordering.is_descending else "NULLS"), at)
+        if not order:
+            raise self.error("a rule needs ORDER BY time", self.clause.at)
+
+    def check_rows(self) -> None:
+        if self.clause.subsets:
+            raise self.refusal("SUBSET", self.clause.subsets[0].name.at - len("SUBSET "))
+        if self.clause.rows is not RowsPerMatch.ONE:
+            message = "ALL ROWS PER MATCH: a situation is one row, so a rule has ONE ROW PER MATCH"
+            raise self.error(message, self.clause.rows_at)
+
+    def refusal(self, what: str, at: int) -> RuleError:
+        return self.query.passage.error(f"{what} is not supported yet", at, NotSupportedYet)
+
     def scope(self, clause: str, own: str | None, has_row: bool) -> Scope:
         return Scope(
             passage=self.query.passage,
@@ -174,15 +223,16 @@ class _Binder:
             own=own,
             has_row=has_row,
             params=self.rule.params,
-            zones=self.rule.zones,
-            lines=self.rule.lines,
+            zones=frozenset(self.rule.zones),
+            lines=frozenset(self.rule.lines),
+            shared=frozenset(self.rule.shared),
         )
 
     # Clauses.
 
     def conditions(self) -> tuple[Condition, ...]:
         defined: dict[str, Expr] = {}
-        for define in self.query.defines:
+        for define in self.clause.defines:
             if define.name.key not in self.variables:
                 raise self.error(f"DEFINE: {define.name.name!r} is not in PATTERN", define.name.at)
             shown = self.variables[define.name.key]
@@ -210,13 +260,13 @@ class _Binder:
                 predicates[parts.predicates.setdefault(part, len(parts.predicates))] = None
         if len(parts.predicates) > PREDICATES_MOST:
             message = f"DEFINE: more than {PREDICATES_MOST} different row-local conditions"
-            raise self.error(message, self.query.pattern_at)
+            raise self.error(message, self.clause.pattern_at)
         guard = Call("and", tuple(guards), Kind.BOOL) if len(guards) > 1 else guards[0] if guards else None
         return Condition(tuple(predicates), guard)
 
     def measures(self) -> tuple[Output, ...]:
         outputs: dict[str, Output] = {}
-        for measure in self.query.measures:
+        for measure in self.clause.measures:
             name = measure.name.name
             if name in outputs:
                 raise self.error(f"MEASURES: {name!r} is named twice", measure.name.at)
@@ -232,15 +282,15 @@ class _Binder:
             raise self.error("WITHIN: wanted a constant duration above zero", scalar.at)
         return value
 
-    def skip_variable(self) -> int | None:
-        variable = self.query.skip.variable
+    def skip_variables(self) -> tuple[int, ...]:
+        variable = self.clause.skip.variable
         if variable is None:
-            return None
+            return ()
         if variable.key not in self.variables:
             have = ", ".join(self.variables.values())
             raise self.error(f"AFTER MATCH SKIP: unknown pattern variable {variable.name!r}; there are: {have}",
                              variable.at)  # fmt: skip
-        return self.indices[self.variables[variable.key]]
+        return (self.indices[self.variables[variable.key]],)
 
     def title_columns(self, measures: tuple[Output, ...], keys: tuple[str, ...]) -> tuple[Output, ...]:
         """What the title shows beside measures and partition columns: columns of the match's last row."""
@@ -272,7 +322,7 @@ class _Binder:
 
     def remember(self, expr: Expr) -> None:
         """Gives each part that reads the match a register, and each that reads the row a slot."""
-        if isinstance(expr, Reference | Count):
+        if isinstance(expr, Reference | Aggregate):
             self.parts.register_of[expr] = self.register(expr)
         elif is_row_local(expr) and not is_constant(expr):
             self.slot(expr)
@@ -280,13 +330,15 @@ class _Binder:
             for operand in operands(expr):
                 self.remember(operand)
 
-    def register(self, expr: Reference | Count) -> int:
-        variable = None if expr.variable is None else self.indices[expr.variable]
+    def register(self, expr: Reference | Aggregate) -> int:
+        variables = None
+        if expr.variables is not None:
+            variables = tuple(sorted(self.indices[variable] for variable in expr.variables))
         slot = None if expr.operand is None else self.slot(expr.operand)
         if isinstance(expr, Reference):
-            register = Register(variable, expr.which, slot)
+            register = Register(variables, expr.which, slot, expr.offset)
         else:
-            register = Register(variable, "rows" if slot is None else "values", slot)
+            register = Register(variables, expr.how, slot)
         registers = self.parts.registers
         return registers.setdefault(register, len(registers))
 
@@ -298,7 +350,9 @@ class _Binder:
     def looks_back(self, tables: Tables, conditions: tuple[Condition, ...]) -> bool:
         """Whether a position can look further back than its distance from the match's first row."""
         own_reach = [self.own_reach(index, condition) for index, condition in enumerate(conditions)]
-        distance = dict.fromkeys(tables.follow[tables.start], 0)
+        if tables.has_start_anchor:
+            return True
+        distance = dict.fromkeys(tables.firsts(), 0)
         queue = list(distance)
         for position in queue:
             for after in tables.follow[position]:
@@ -315,7 +369,7 @@ class _Binder:
         read += [
             slots[register.slot]
             for register in self.parts.registers
-            if register.slot is not None and register.variable in (None, variable)
+            if register.slot is not None and register.takes(variable)
         ]
         return max((reach(expr) for expr in read), default=0)
 
@@ -325,20 +379,20 @@ class _Binder:
             index for index, condition in enumerate(bound.conditions)
             if any(is_constant(bound.predicates[at]) for at in condition.predicates)
         }  # fmt: skip
-        if not tables.follow[tables.start]:
+        if not tables.firsts():
             message = "PATTERN: it can only match no row at all, which is never a situation"
-            raise self.error(message, self.query.pattern_at)
-        queue = [at for at in tables.follow[tables.start] if tables.variables[at] not in hopeless]
+            raise self.error(message, self.clause.pattern_at)
+        queue = [at for at in tables.firsts() if tables.variables[at] not in hopeless]
         reached = set(queue)
         for position in queue:
-            if tables.accepts[position]:
+            if tables.accepts_end[position]:
                 return
             for after in tables.follow[position]:
                 if tables.variables[after] not in hopeless and after not in reached:
                     reached.add(after)
                     queue.append(after)
-        names = ", ".join(bound.variables[index] for index in sorted(hopeless))
-        raise self.error(f"PATTERN: it can never match, because {names} can never be true", self.query.pattern_at)
+        names = ", ".join(bound.variables[index] for index in sorted(hopeless)) or "its anchors"
+        raise self.error(f"PATTERN: it can never match, because {names} can never be true", self.clause.pattern_at)
 
     def error(self, message: str, at: int) -> RuleError:
         return self.query.passage.error(message, at)
@@ -347,7 +401,7 @@ class _Binder:
 def _row_local_parts(guard: Expr) -> list[Expr]:
     if is_row_local(guard):
         return [guard]
-    if isinstance(guard, Reference | Count):
+    if isinstance(guard, Reference | Aggregate):
         return []
     return [part for operand in operands(guard) for part in _row_local_parts(operand)]
 
@@ -357,10 +411,12 @@ def pattern_variables(pattern: Pattern) -> list[Identifier]:
     match pattern:
         case Variable(name):
             return [name]
-        case Concatenation(parts) | Alternation(parts):
+        case Concatenation(parts) | Alternation(parts) | Permutation(parts):
             return [name for part in parts for name in pattern_variables(part)]
-        case Repetition(body):
+        case Repetition(body) | Exclusion(body):
             return pattern_variables(body)
+        case Anchor():
+            return []
 
 
 def lifted(expr: Expr) -> Expr:
@@ -370,15 +426,15 @@ def lifted(expr: Expr) -> Expr:
     strict operators may be lifted: NULL before the variable's first row must stay NULL.
     """
     expr = rebuilt(expr, lifted)
-    if isinstance(expr, Reference | Count) or not is_strict(expr):
+    if isinstance(expr, Reference | Aggregate) or not is_strict(expr):
         return expr
     below = operands(expr)
-    frames = {(part.variable, part.which) for part in below if isinstance(part, Reference)}
+    frames = {(part.variables, part.which, part.offset) for part in below if isinstance(part, Reference)}
     if len(frames) != 1 or not all(isinstance(part, Reference) or is_constant(part) for part in below):
         return expr
-    variable, which = frames.pop()
+    variables, which, offset = frames.pop()
     inner = rebuilt(expr, lambda part: part.operand if isinstance(part, Reference) else part)
-    return Reference(variable, which, inner)
+    return Reference(variables, which, inner, offset)
 
 
 def kind_of(arrow_type: pa.DataType) -> Kind | None:

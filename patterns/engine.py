@@ -17,13 +17,15 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from patterns.bound import BoundRule, Register
-from patterns.columns import ColumnEvaluator, Places, Rows
+from patterns.columns import ColumnEvaluator, Rows
 from patterns.errors import LimitError
 from patterns.expressions import walk
-from patterns.geometry import FrameSize
-from patterns.guards import UNSET, compile_guard
-from patterns.matcher import Block, Found, Machine, Matcher, Partition, Update
+from patterns.guards import compile_guard
+from patterns.matcher import Block, Found, Machine, Matcher, Partition
+from patterns.places import Places
+from patterns.registers import Update, initial, update_of
 from patterns.rows import SEQUENCE, STREAM, TIME, partition_codes
+from patterns.site import Site
 
 Key = tuple[Any, ...]
 
@@ -63,9 +65,9 @@ class _Grouped:
 class Engine:
     """Runs one rule. Partitions are independent; those with nothing to remember are forgotten."""
 
-    def __init__(self, bound: BoundRule, frame_sizes: dict[str, FrameSize]) -> None:
+    def __init__(self, bound: BoundRule, site: Site) -> None:
         self.bound = bound
-        self.places = Places(bound.rule.zones, bound.rule.lines, frame_sizes)
+        self.places = Places(bound.rule.zones, bound.rule.lines, site)
         self.masks = tuple(sum(1 << at for at in each.predicates) for each in bound.conditions)
         self.matcher = Matcher(machine_of(bound, self.places, self.masks))
         self.open: dict[Key, Open] = {}
@@ -166,7 +168,7 @@ class Engine:
         is_last[grouped.bounds[1:] - 1] = True
         starts = np.zeros(grouped.table.num_rows, dtype=bool)
         seen: set[tuple[int, frozenset[int] | None]] = set()
-        for position in tables.follow[tables.start]:
+        for position in tables.firsts():
             first = tables.variables[position]
             after = None if tables.accepts[position] else frozenset(
                 tables.variables[each] for each in tables.follow[position]
@@ -229,10 +231,12 @@ class Engine:
         for group in wanted:
             key = grouped.keys[group]
             state = self.open.get(key) or Open()
+            length = int(grouped.bounds[group + 1] - grouped.fresh[group])
             if active[group]:
-                length = int(grouped.bounds[group + 1] - grouped.fresh[group])
                 found += [(key, each) for each in self.matcher.run(state.partition, block, at, at + length)]
                 at += length
+            else:
+                state.partition.ordinal += length
             self._keep(key, state)
         if self.bound.reach:
             self._keep_tails(grouped, [group for group in wanted if grouped.keys[group] in self.open])
@@ -291,10 +295,10 @@ def machine_of(bound: BoundRule, places: Places, masks: tuple[int, ...]) -> Mach
         guards=tuple(guards[variable] for variable in tables.variables),
         updates=tuple(updates[variable] for variable in tables.variables),
         live=live_registers(bound),
-        registers=tuple(_initial(register) for register in bound.registers),
+        registers=tuple(initial(register) for register in bound.registers),
         within_us=bound.within_us,
         skip=bound.skip,
-        skip_variable=bound.skip_variable,
+        skip_variables=bound.skip_variables,
         threads_most=bound.limits.threads,
     )
 
@@ -307,10 +311,13 @@ def live_registers(bound: BoundRule) -> tuple[tuple[int, ...], ...]:
     tables = bound.tables
     reads = [_guard_reads(bound, variable) for variable in range(len(bound.variables))]
     written = [
-        {index for index, register in enumerate(bound.registers) if register.variable in (None, variable)}
+        {index for index, register in enumerate(bound.registers) if register.takes(variable)}
         for variable in range(len(bound.variables))
     ]
-    overwritten = [{index for index in each if bound.registers[index].how == "last"} for each in written]
+    overwritten = [
+        {index for index in each if bound.registers[index].how == "last" and not bound.registers[index].offset}
+        for each in written
+    ]
     live: list[set[int]] = [set() for _ in tables.variables]
     changed = True
     while changed:
@@ -335,13 +342,5 @@ def _guard_reads(bound: BoundRule, variable: int) -> set[int]:
 
 def _updates(registers: tuple[Register, ...], variable: int) -> tuple[Update, ...]:
     return tuple(
-        (index, register.how, -1 if register.slot is None else register.slot)
-        for index, register in enumerate(registers)
-        if register.variable in (None, variable)
+        update_of(index, register, variable) for index, register in enumerate(registers) if register.takes(variable)
     )
-
-
-def _initial(register: Register) -> Any:
-    if register.how in ("rows", "values"):
-        return 0
-    return UNSET if register.how == "first" else None

@@ -13,6 +13,6 @@ class Limits:
         partitions: Partitions that anything is remembered of.
     """
 
-    positions: int = 1_000
+    positions: int = 10_000
     threads: int = 10_000
     partitions: int = 1_000_000

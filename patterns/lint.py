@@ -73,9 +73,9 @@ def _undefined(bound: BoundRule) -> list[Finding]:
     """
     passage = bound.rule.passage("match")
     query = parse(passage)
-    defined = {define.name.key: define.name.name for define in query.defines}
+    defined = {define.name.key: define.name.name for define in query.clause.defines}
     findings: dict[str, Finding] = {}
-    for variable in pattern_variables(query.pattern):
+    for variable in pattern_variables(query.clause.pattern):
         like = get_close_matches(variable.key, defined, n=1)
         if variable.key not in defined and like:
             message = (
@@ -95,7 +95,7 @@ def _empty(bound: BoundRule) -> list[Finding]:
         "PATTERN can match no row at all, and such an empty match is no situation. "
         "Next: ask for one row or more, with + for * or without ?"
     )
-    return [Finding("warning", message, passage.place(parse(passage).pattern_at))]
+    return [Finding("warning", message, passage.place(parse(passage).clause.pattern_at))]
 
 
 def _unbounded(bound: BoundRule) -> list[Finding]:
@@ -105,7 +105,7 @@ def _unbounded(bound: BoundRule) -> list[Finding]:
     if emit.once_per is not None and emit.cooldown is None:
         message = "once_per without cooldown remembers every key for good"
         findings.append(_warning(bound.rule, message, "emit", "once_per"))
-    at = parse(bound.rule.passage("match")).pattern_at
+    at = parse(bound.rule.passage("match")).clause.pattern_at
     place = bound.rule.passage("match").place(at)
     if bound.looks_back:
         message = "PREV looks at rows before the match, so a row of every partition is remembered for good"

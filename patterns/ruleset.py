@@ -9,13 +9,17 @@ something to say: a match, a late row, something given up.
 """
 
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
+from functools import partial
 from time import perf_counter
 
+from events import EventType
 from patterns.bound import BoundRule
-from patterns.errors import PatternError
+from patterns.errors import MatchError, PatternError
 from patterns.running import Counts, Outcome, Rows, RuleRun
+from patterns.site import Site
 
 Outcomes = dict[str, Outcome]
 
@@ -57,7 +61,7 @@ class RuleSetRun:
         self.failures: dict[str, Exception] = {}
         self._clock = clock
         self._members: dict[str, _Member] = {}
-        self._frame_sizes: dict[str, tuple[int, int]] = {}
+        self._site = Site()
         for bound in bounds:
             self.add(bound)
 
@@ -78,8 +82,8 @@ class RuleSetRun:
 
         Args:
             bound: The rule.
-            state: What `state` gave of it, to go on from there; None: it begins anew, and knows the
-                frame sizes that the set was told.
+            state: What `state` gave of it, to go on from there; None: it begins anew, and knows of the
+                cameras what the set was told.
             name: What the set shall know it by, where that is not the rule's name: two versions of
                 a rule may run side by side.
 
@@ -94,8 +98,7 @@ class RuleSetRun:
         if state is not None:
             run.restore(state)
         else:
-            for source, (width, height) in self._frame_sizes.items():
-                run.set_frame_size(source, width, height)
+            run.know(self._site)
         self.failures.pop(name, None)
         self._members[name] = _Member(run)
 
@@ -133,9 +136,15 @@ class RuleSetRun:
 
     def set_frame_size(self, source: str, width: int, height: int) -> None:
         """The source's frames have this size in pixels, from the next step on."""
-        self._frame_sizes[source] = (width, height)
+        self._site.frame_sizes[source] = (width, height)
         for member in self._members.values():
             member.run.set_frame_size(source, width, height)
+
+    def learn(self, event: EventType, stream: str, sequence: int) -> None:
+        """Takes in what an event says of a camera: see `RuleRun.learn`. A rule that cannot use it is set aside."""
+        with suppress(MatchError):  # The rules that need it say so themselves.
+            self._site.learn(event, stream, sequence)
+        self._each(partial(_learnt, event=event, stream=stream, sequence=sequence))
 
     def push(self, rows: Rows) -> Outcomes:
         """Takes rows as they arrive, of any streams and types."""
@@ -185,6 +194,11 @@ def merged(parts: Iterable[Mapping[str, Outcome]]) -> Outcomes:
         for name, outcome in part.items():
             whole[name] = whole[name] + outcome if name in whole else outcome
     return whole
+
+
+def _learnt(run: RuleRun, event: EventType, stream: str, sequence: int) -> Outcome:
+    run.learn(event, stream, sequence)
+    return _NOTHING
 
 
 _NOTHING = Outcome()

@@ -21,7 +21,6 @@ from events import (
     ProcessFinished,
     Segment,
     UnknownType,
-    VideoAdded,
     decode,
     events_of,
     with_envelope,
@@ -33,16 +32,15 @@ from patterns.processor.members import Finding, Member
 from patterns.processor.saving import SavedState
 from patterns.ruleset import Outcomes, RuleSetRun, RuleStatus
 from patterns.running import Outcome
+from patterns.site import SITE_TYPES
 from patterns.situations import EventRef, as_microseconds
 from store import Log
 
 logger = logging.getLogger(__name__)
 
-SITE: tuple[type[EventType], ...] = (VideoAdded,)
-"""What must be known of the cameras before events can be judged."""
 ENDS: tuple[type[EventType], ...] = (ProcessFinished, ProcessFailed)
 """What says that a source will send no more."""
-CONTROL = (*SITE, *ENDS)
+CONTROL = (*SITE_TYPES, *ENDS)
 SiteEvent = tuple[EventType, str, int]
 """An event, its stream, and its sequence there."""
 
@@ -195,7 +193,7 @@ class Pass:
         self._site[key] = (event, stream, sequence)
         findings = []
         for rules in list(self._sets.values()):
-            _tell(rules, event, stream, sequence)
+            rules.learn(event, stream, sequence)
             findings += self._findings({}, rules)
         return findings
 
@@ -204,7 +202,7 @@ class Pass:
         if member.types not in self._sets:
             rules = self._sets[member.types] = RuleSetRun()
             for event, stream, sequence in self._site.values():
-                _tell(rules, event, stream, sequence)
+                rules.learn(event, stream, sequence)
         return self._sets[member.types]
 
     def _findings(self, outcomes: Outcomes, rules: RuleSetRun, *, is_by_silence: bool = False) -> list[Finding]:
@@ -249,7 +247,7 @@ class Pass:
 
 def site_at(log: Log, position: int) -> list[SiteEvent]:
     """What the log up to a position says of the cameras, in order."""
-    names = {str(each.type_name) for each in SITE}
+    names = {str(each.type_name) for each in SITE_TYPES}
     streams = {head.stream for head in log.streams() if head.stream.type in names} if position else set()
     segments = [each for stream in streams for each in log.read_lives(stream) if each.position <= position]
     found: list[SiteEvent] = []
@@ -264,11 +262,6 @@ def _events(segment: Segment, catalogue: Catalogue) -> list[EventType]:
         return list(events_of(decode(segment, catalogue)))
     except UnknownType:
         return []  # counted and logged where the segment is read in its turn
-
-
-def _tell(rules: RuleSetRun, event: EventType, stream: str, sequence: int) -> None:
-    assert isinstance(event, VideoAdded), f"cameras are told of by {SITE}, got {event.type_name}"
-    rules.set_frame_size(stream.split("/")[1], event.width, event.height)
 
 
 def newest_of(newest_us: Mapping[str, int]) -> int:

@@ -71,7 +71,7 @@ def _fields(match: Match) -> dict[str, Any]:
                 last_sequence=each.last_sequence,
                 events=each.rows,
             )
-            for variable, ranges in match.lineage.items()
+            for variable, ranges in (*match.lineage.items(), *match.judged_by.items())
             for each in ranges
         ),
     }
