@@ -4,6 +4,7 @@ Event types, their catalogue, their columns, and the segment that holds a batch 
 package imports none of ViAn's others, knows no database and no network.
 """
 
+from events.camera import CameraCalibrated, SceneChanged, ZoneDefined, ZoneRemoved
 from events.catalogue import SHIPPED, Catalogue, load_catalogue
 from events.columns import EventBatch, batch_of, batch_of_type, events_of, schema_of, with_envelope
 from events.door import Allowed, allowed
@@ -26,6 +27,7 @@ from events.motion import ActivityInterval, TrackEnded, TrackEndedV1, TrackPoint
 from events.names import Source, Station, StreamName, TypeName, source_name, station_name, type_name
 from events.plates import PlateRead
 from events.proof import CheckpointSigned, LossRecorded
+from events.relations import GroupSeen, Occupancy, PairDistance, Tally
 from events.segment import (
     GENESIS,
     Draft,
@@ -40,7 +42,15 @@ from events.segment import (
     header_bytes,
     parse_header,
 )
-from events.situations import MatchedRange, RuleDeployed, SituationDetected
+from events.situations import (
+    MatchedRange,
+    RuleDeployed,
+    RuleDeployedV1,
+    RuleMissed,
+    RuleRetired,
+    SituationDetected,
+    SituationShadowed,
+)
 from events.stations import SyncPlanned
 from events.work import ProcessFailed, ProcessFinished, ProcessProgressed, ProcessStarted
 
@@ -50,6 +60,7 @@ __all__ = [
     "ActivityInterval",
     "Allowed",
     "AtDoor",
+    "CameraCalibrated",
     "Catalogue",
     "CheckpointSigned",
     "CorruptSegment",
@@ -59,12 +70,15 @@ __all__ = [
     "EventType",
     "Finite32",
     "Float32",
+    "GroupSeen",
     "Header",
     "InvalidEvent",
     "InvalidName",
     "JsonText",
     "LossRecorded",
     "MatchedRange",
+    "Occupancy",
+    "PairDistance",
     "Part",
     "PersonalBytes",
     "PersonalJson",
@@ -77,14 +91,20 @@ __all__ = [
     "ProcessStarted",
     "Producer",
     "RuleDeployed",
+    "RuleDeployedV1",
+    "RuleMissed",
+    "RuleRetired",
+    "SceneChanged",
     "Segment",
     "Sequence",
     "Share32",
     "SituationDetected",
+    "SituationShadowed",
     "Source",
     "Station",
     "StreamName",
     "SyncPlanned",
+    "Tally",
     "TrackEnded",
     "TrackEndedV1",
     "TrackPoint",
@@ -93,6 +113,8 @@ __all__ = [
     "UpcastFailed",
     "UtcTime",
     "VideoAdded",
+    "ZoneDefined",
+    "ZoneRemoved",
     "allowed",
     "batch_of",
     "batch_of_type",

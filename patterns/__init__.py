@@ -30,7 +30,8 @@ from patterns.limits import Limits
 from patterns.lint import Finding, check
 from patterns.loading import load_rule, load_rules, parse_rule
 from patterns.rule import Rule
-from patterns.running import Outcome, RuleRun, match
+from patterns.ruleset import RuleSetRun, RuleStatus
+from patterns.running import GivenUp, Outcome, RuleRun, match
 from patterns.situations import EventRange, EventRef, Match, situation_id
 
 __all__ = [
@@ -40,6 +41,7 @@ __all__ = [
     "Finding",
     "FrameSize",
     "FrameSizeUnknown",
+    "GivenUp",
     "LimitError",
     "Limits",
     "Line",
@@ -51,6 +53,8 @@ __all__ = [
     "Rule",
     "RuleError",
     "RuleRun",
+    "RuleSetRun",
+    "RuleStatus",
     "SkipError",
     "StateError",
     "TestResult",

@@ -7,17 +7,17 @@ match becomes a guard over registers. Cheap: a rule is bound in milliseconds.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import pyarrow as pa
 
 from patterns.bound import BoundRule, Condition, Output, Register
-from patterns.errors import RuleError
+from patterns.errors import NotSupportedYet, RuleError
 from patterns.expressions import (
+    Aggregate,
     Call,
     Column,
     Const,
-    Count,
     Expr,
     Kind,
     Reference,
@@ -32,21 +32,24 @@ from patterns.expressions import (
 )
 from patterns.geometry import FrameSize
 from patterns.guards import constant_value
+from patterns.inputs import Readable, bind_arms
 from patterns.limits import Limits
 from patterns.parser import parse
+from patterns.pattern_variables import pattern_variables
 from patterns.program import ProgramTooLarge, Tables, compile_pattern, tabulate
 from patterns.rule import Rule
 from patterns.scalars import translate
 from patterns.scope import Scope
-from patterns.syntax import Alternation, Concatenation, Identifier, Pattern, Query, Repetition, Scalar, Variable
+from patterns.site import Site
+from patterns.syntax import (
+    Identifier,
+    Query,
+    RowsPerMatch,
+    Scalar,
+)
 from patterns.titles import check_formats, title_fields
 
 PREDICATES_MOST = 63
-
-ENVELOPE = {
-    "time": Kind.TIME, "sequence": Kind.INT, "source": Kind.STRING, "station": Kind.STRING,
-    "subject": Kind.STRING, "type": Kind.STRING,
-}  # fmt: skip
 
 
 def bind(
@@ -54,6 +57,7 @@ def bind(
     schemas: Mapping[str, pa.Schema],
     frame_sizes: Mapping[str, FrameSize] | None = None,
     limits: Limits | None = None,
+    site: Site | None = None,
 ) -> BoundRule:
     """The rule, ready to run.
 
@@ -62,13 +66,20 @@ def bind(
         schemas: The event types there are, and the columns of each; the envelope's need not be among them.
         frame_sizes: For each source whose frame size is known, its (width, height) in pixels.
         limits: What the rule may use.
+        site: What else is known of the cameras: shared zones and lines, calibrations, frame sizes.
 
     Raises:
         RuleError: A name that is not there, operands of wrong types, a pattern that can never match.
         NotSupportedYet: SQL outside what this version understands.
     """
     query = parse(rule.passage("match"))
-    return _Binder(rule, query, schemas, limits or Limits()).bound(dict(frame_sizes or {}))
+    return _Binder(rule, query, schemas, limits or Limits()).bound(_site(site, frame_sizes))
+
+
+def _site(site: Site | None, frame_sizes: Mapping[str, FrameSize] | None) -> Site:
+    known = Site() if site is None else site.copy()
+    known.frame_sizes.update(frame_sizes or {})
+    return known
 
 
 @dataclass(slots=True)
@@ -87,42 +98,46 @@ class _Binder:
     def __init__(self, rule: Rule, query: Query, schemas: Mapping[str, pa.Schema], limits: Limits) -> None:
         self.rule = rule
         self.query = query
+        self.clause = query.clause
         self.limits = limits
         self.parts = _Parts()
-        self.columns, self.unreadable = self.readable_columns(schemas)
+        self.variables: dict[str, str] = {}
+        self.readable = Readable({}, {})
+        self.arms = bind_arms(query.arms, schemas, query.passage, self.of_event)
+        self.readable = self.arms.readable
         shown: dict[str, str] = {}
-        for name in pattern_variables(query.pattern):
+        for name in pattern_variables(query.clause.pattern):
             shown.setdefault(name.key, name.name)
         self.variables = shown
         self.indices = {name: index for index, name in enumerate(shown.values())}
 
-    def bound(self, frame_sizes: Mapping[str, FrameSize]) -> BoundRule:
-        query = self.query
-        keys = tuple(self.key(column) for column in query.partition_by)
-        where = self.condition_of(query.where, "WHERE", None) if query.where else None
+    def bound(self, site: Site) -> BoundRule:
+        query, clause = self.query, self.clause
+        self.check_order()
+        self.check_rows()
+        keys = tuple(self.key(column) for column in clause.partition_by)
         conditions = self.conditions()
         measures = self.measures()
         title_columns = self.title_columns(measures, keys)
-        within_us = self.within(query.within) if query.within else None
-        skip_variable = self.skip_variable()
+        within_us = self.within(clause.within) if clause.within else None
+        skip_variables = self.skip_variables()
         try:
-            program = compile_pattern(query.pattern, tuple(self.variables), self.limits.positions)
+            program = compile_pattern(clause.pattern, tuple(self.variables), self.limits.positions)
             tables = tabulate(program)
         except ProgramTooLarge as error:
-            raise query.passage.error(f"PATTERN: {error}", query.pattern_at) from error
+            raise query.passage.error(f"PATTERN: {error}", clause.pattern_at) from error
         self.check_once_per(measures, keys)
         parts = self.parts
-        read = (*parts.predicates, *parts.slots, *((where,) if where is not None else ()))
+        read = (*parts.predicates, *parts.slots)
         names = sorted(column_names(read) | set(keys) | {"source"})
         bound = BoundRule(
             rule=self.rule,
-            type=query.source_type.name,
+            inputs=self.arms.inputs(names),
             variables=tuple(self.variables.values()),
             program=program,
             tables=tables,
-            columns={name: self.columns[name] for name in names},
+            columns={name: self.readable.columns[name] for name in names},
             keys=keys,
-            where=where,
             predicates=tuple(parts.predicates),
             slots=tuple(parts.slots),
             registers=tuple(parts.registers),
@@ -131,11 +146,11 @@ class _Binder:
             measures=measures,
             title_columns=title_columns,
             within_us=within_us,
-            skip=query.skip.mode,
-            skip_variable=skip_variable,
+            skip=clause.skip.mode,
+            skip_variables=skip_variables,
             reach=max((reach(expr) for expr in read), default=0),
             looks_back=self.looks_back(tables, conditions),
-            frame_sizes=frame_sizes,
+            site=site,
             limits=self.limits,
         )
         self.check_can_match(bound)
@@ -143,46 +158,62 @@ class _Binder:
 
     # Names.
 
-    def readable_columns(self, schemas: Mapping[str, pa.Schema]) -> tuple[dict[str, Kind], dict[str, str]]:
-        name = self.query.source_type
-        if name.name not in schemas:
-            have = ", ".join(sorted(schemas))
-            raise self.error(f"FROM: unknown event type {name.name!r}; there are: {have}", name.at)
-        readable, unreadable = dict(ENVELOPE), {}
-        for column in schemas[name.name]:
-            kind = kind_of(column.type)
-            if kind is None:
-                unreadable[column.name] = str(column.type)
-            elif column.name not in ENVELOPE:
-                readable[column.name] = kind
-        return readable, unreadable
+    def of_event(self, scalar: Scalar, clause: str, readable: Readable) -> Expr:
+        """The expression over the columns of one event, in an arm of FROM."""
+        scope = self.scope(clause, None, has_row=True)
+        return translate(scalar, replace(scope, columns=readable.columns, unreadable=readable.unreadable))
 
     def key(self, column: Identifier) -> str:
         for name in (column.name, column.name.lower()):
-            if name in self.columns:
+            if name in self.readable.columns:
                 return name
-        have = ", ".join(sorted(self.columns))
+        have = ", ".join(sorted(self.readable.columns))
         raise self.error(f"PARTITION BY: unknown column {column.name!r}; there are: {have}", column.at)
+
+    def check_order(self) -> None:
+        """Checks that events stand in the one order that a rule has."""
+        order = self.clause.order_by
+        for index, ordering in enumerate(order):
+            name, at = ordering.column.name, ordering.column.at
+            if index > 1:
+                raise self.refusal("ORDER BY more than time and sequence", at)
+            if ordering.column.key != ("TIME", "SEQUENCE")[index]:
+                raise self.refusal(f"ORDER BY {name} (only time and sequence order events)", at)
+            if ordering.is_descending or ordering.nulls_first is not None:
+                raise self.refusal("ORDER BY ... " + ("DESC" if ordering.is_descending else "NULLS"), at)
+        if not order:
+            raise self.error("a rule needs ORDER BY time", self.clause.at)
+
+    def check_rows(self) -> None:
+        if self.clause.subsets:
+            raise self.refusal("SUBSET", self.clause.subsets[0].name.at - len("SUBSET "))
+        if self.clause.rows is not RowsPerMatch.ONE:
+            message = "ALL ROWS PER MATCH: a situation is one row, so a rule has ONE ROW PER MATCH"
+            raise self.error(message, self.clause.rows_at)
+
+    def refusal(self, what: str, at: int) -> RuleError:
+        return self.query.passage.error(f"{what} is not supported yet", at, NotSupportedYet)
 
     def scope(self, clause: str, own: str | None, has_row: bool) -> Scope:
         return Scope(
             passage=self.query.passage,
             clause=clause,
-            columns=self.columns,
-            unreadable=self.unreadable,
-            variables=self.variables if clause != "WHERE" else {},
+            columns=self.readable.columns,
+            unreadable=self.readable.unreadable,
+            variables=self.variables,
             own=own,
             has_row=has_row,
             params=self.rule.params,
-            zones=self.rule.zones,
-            lines=self.rule.lines,
+            zones=frozenset(self.rule.zones),
+            lines=frozenset(self.rule.lines),
+            shared=frozenset(self.rule.shared),
         )
 
     # Clauses.
 
     def conditions(self) -> tuple[Condition, ...]:
         defined: dict[str, Expr] = {}
-        for define in self.query.defines:
+        for define in self.clause.defines:
             if define.name.key not in self.variables:
                 raise self.error(f"DEFINE: {define.name.name!r} is not in PATTERN", define.name.at)
             shown = self.variables[define.name.key]
@@ -210,13 +241,13 @@ class _Binder:
                 predicates[parts.predicates.setdefault(part, len(parts.predicates))] = None
         if len(parts.predicates) > PREDICATES_MOST:
             message = f"DEFINE: more than {PREDICATES_MOST} different row-local conditions"
-            raise self.error(message, self.query.pattern_at)
+            raise self.error(message, self.clause.pattern_at)
         guard = Call("and", tuple(guards), Kind.BOOL) if len(guards) > 1 else guards[0] if guards else None
         return Condition(tuple(predicates), guard)
 
     def measures(self) -> tuple[Output, ...]:
         outputs: dict[str, Output] = {}
-        for measure in self.query.measures:
+        for measure in self.clause.measures:
             name = measure.name.name
             if name in outputs:
                 raise self.error(f"MEASURES: {name!r} is named twice", measure.name.at)
@@ -232,15 +263,15 @@ class _Binder:
             raise self.error("WITHIN: wanted a constant duration above zero", scalar.at)
         return value
 
-    def skip_variable(self) -> int | None:
-        variable = self.query.skip.variable
+    def skip_variables(self) -> tuple[int, ...]:
+        variable = self.clause.skip.variable
         if variable is None:
-            return None
+            return ()
         if variable.key not in self.variables:
             have = ", ".join(self.variables.values())
             raise self.error(f"AFTER MATCH SKIP: unknown pattern variable {variable.name!r}; there are: {have}",
                              variable.at)  # fmt: skip
-        return self.indices[self.variables[variable.key]]
+        return (self.indices[self.variables[variable.key]],)
 
     def title_columns(self, measures: tuple[Output, ...], keys: tuple[str, ...]) -> tuple[Output, ...]:
         """What the title shows beside measures and partition columns: columns of the match's last row."""
@@ -249,13 +280,13 @@ class _Binder:
         for name in title_fields(self.rule):
             if name in known:
                 continue
-            if name not in self.columns:
-                have = ", ".join(sorted(known | set(self.columns)))
+            if name not in self.readable.columns:
+                have = ", ".join(sorted(known | set(self.readable.columns)))
                 raise self.rule.error(f"title: unknown name {{{name}}}; there are: {have}", "title")
-            value = Reference(None, "last", Column(name, self.columns[name]))
+            value = Reference(None, "last", Column(name, self.readable.columns[name]))
             self.remember(value)
             outputs[name] = Output(name, value)
-        kinds = {key: self.columns[key] for key in keys}
+        kinds = {key: self.readable.columns[key] for key in keys}
         kinds |= {output.name: output.value.kind for output in (*measures, *outputs.values())}
         check_formats(self.rule, kinds)
         return tuple(outputs.values())
@@ -272,7 +303,7 @@ class _Binder:
 
     def remember(self, expr: Expr) -> None:
         """Gives each part that reads the match a register, and each that reads the row a slot."""
-        if isinstance(expr, Reference | Count):
+        if isinstance(expr, Reference | Aggregate):
             self.parts.register_of[expr] = self.register(expr)
         elif is_row_local(expr) and not is_constant(expr):
             self.slot(expr)
@@ -280,13 +311,15 @@ class _Binder:
             for operand in operands(expr):
                 self.remember(operand)
 
-    def register(self, expr: Reference | Count) -> int:
-        variable = None if expr.variable is None else self.indices[expr.variable]
+    def register(self, expr: Reference | Aggregate) -> int:
+        variables = None
+        if expr.variables is not None:
+            variables = tuple(sorted(self.indices[variable] for variable in expr.variables))
         slot = None if expr.operand is None else self.slot(expr.operand)
         if isinstance(expr, Reference):
-            register = Register(variable, expr.which, slot)
+            register = Register(variables, expr.which, slot, expr.offset)
         else:
-            register = Register(variable, "rows" if slot is None else "values", slot)
+            register = Register(variables, expr.how, slot)
         registers = self.parts.registers
         return registers.setdefault(register, len(registers))
 
@@ -298,7 +331,9 @@ class _Binder:
     def looks_back(self, tables: Tables, conditions: tuple[Condition, ...]) -> bool:
         """Whether a position can look further back than its distance from the match's first row."""
         own_reach = [self.own_reach(index, condition) for index, condition in enumerate(conditions)]
-        distance = dict.fromkeys(tables.follow[tables.start], 0)
+        if tables.has_start_anchor:
+            return True
+        distance = dict.fromkeys(tables.firsts(), 0)
         queue = list(distance)
         for position in queue:
             for after in tables.follow[position]:
@@ -315,7 +350,7 @@ class _Binder:
         read += [
             slots[register.slot]
             for register in self.parts.registers
-            if register.slot is not None and register.variable in (None, variable)
+            if register.slot is not None and register.takes(variable)
         ]
         return max((reach(expr) for expr in read), default=0)
 
@@ -325,20 +360,20 @@ class _Binder:
             index for index, condition in enumerate(bound.conditions)
             if any(is_constant(bound.predicates[at]) for at in condition.predicates)
         }  # fmt: skip
-        if not tables.follow[tables.start]:
+        if not tables.firsts():
             message = "PATTERN: it can only match no row at all, which is never a situation"
-            raise self.error(message, self.query.pattern_at)
-        queue = [at for at in tables.follow[tables.start] if tables.variables[at] not in hopeless]
+            raise self.error(message, self.clause.pattern_at)
+        queue = [at for at in tables.firsts() if tables.variables[at] not in hopeless]
         reached = set(queue)
         for position in queue:
-            if tables.accepts[position]:
+            if tables.accepts_end[position]:
                 return
             for after in tables.follow[position]:
                 if tables.variables[after] not in hopeless and after not in reached:
                     reached.add(after)
                     queue.append(after)
-        names = ", ".join(bound.variables[index] for index in sorted(hopeless))
-        raise self.error(f"PATTERN: it can never match, because {names} can never be true", self.query.pattern_at)
+        names = ", ".join(bound.variables[index] for index in sorted(hopeless)) or "its anchors"
+        raise self.error(f"PATTERN: it can never match, because {names} can never be true", self.clause.pattern_at)
 
     def error(self, message: str, at: int) -> RuleError:
         return self.query.passage.error(message, at)
@@ -347,20 +382,9 @@ class _Binder:
 def _row_local_parts(guard: Expr) -> list[Expr]:
     if is_row_local(guard):
         return [guard]
-    if isinstance(guard, Reference | Count):
+    if isinstance(guard, Reference | Aggregate):
         return []
     return [part for operand in operands(guard) for part in _row_local_parts(operand)]
-
-
-def pattern_variables(pattern: Pattern) -> list[Identifier]:
-    """The variables in the order in which they are written, repeats included."""
-    match pattern:
-        case Variable(name):
-            return [name]
-        case Concatenation(parts) | Alternation(parts):
-            return [name for part in parts for name in pattern_variables(part)]
-        case Repetition(body):
-            return pattern_variables(body)
 
 
 def lifted(expr: Expr) -> Expr:
@@ -370,25 +394,12 @@ def lifted(expr: Expr) -> Expr:
     strict operators may be lifted: NULL before the variable's first row must stay NULL.
     """
     expr = rebuilt(expr, lifted)
-    if isinstance(expr, Reference | Count) or not is_strict(expr):
+    if isinstance(expr, Reference | Aggregate) or not is_strict(expr):
         return expr
     below = operands(expr)
-    frames = {(part.variable, part.which) for part in below if isinstance(part, Reference)}
+    frames = {(part.variables, part.which, part.offset) for part in below if isinstance(part, Reference)}
     if len(frames) != 1 or not all(isinstance(part, Reference) or is_constant(part) for part in below):
         return expr
-    variable, which = frames.pop()
+    variables, which, offset = frames.pop()
     inner = rebuilt(expr, lambda part: part.operand if isinstance(part, Reference) else part)
-    return Reference(variable, which, inner)
-
-
-def kind_of(arrow_type: pa.DataType) -> Kind | None:
-    """The language's type of an Arrow column; None: rules cannot read it."""
-    types = pa.types
-    if types.is_dictionary(arrow_type):
-        return kind_of(arrow_type.value_type)
-    checks = (
-        (types.is_boolean, Kind.BOOL), (types.is_integer, Kind.INT), (types.is_floating, Kind.FLOAT),
-        (types.is_string, Kind.STRING), (types.is_large_string, Kind.STRING),
-        (types.is_timestamp, Kind.TIME), (types.is_duration, Kind.DURATION),
-    )  # fmt: skip
-    return next((kind for check, kind in checks if check(arrow_type)), None)
+    return Reference(variables, which, inner, offset)

@@ -6,28 +6,46 @@ which alone knows rows.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Literal
 
-from patterns.expressions import Expr, Kind, Which
-from patterns.geometry import FrameSize
+from patterns.expressions import Expr, Kind
+from patterns.inputs import Input
 from patterns.limits import Limits
 from patterns.program import Instruction, Tables
 from patterns.rule import Rule
+from patterns.site import Site
 from patterns.syntax import SkipMode
+
+How = Literal["first", "last", "rows", "values", "sum", "min", "max", "list"]
 
 
 @dataclass(frozen=True, slots=True)
 class Register:
-    """What a match remembers: a slot's value at a variable's first or last row, or a number of rows.
+    """What a match remembers of the rows mapped to some variables.
 
     Attributes:
-        variable: Index of the variable; None: any.
-        how: `first`, `last`, `rows` (how many), or `values` (how many with a slot that is not NULL).
+        variables: Indices of the variables, ascending; None: any row of the match.
+        how: `first`, `last`: a slot's value there; `rows`: how many; `values`: how many whose slot is
+            not NULL; `sum`, `min`, `max`: of those; `list`: the slot's value at each, NULL too.
         slot: Which slot; None for `rows`.
+        offset: For `first` and `last`: how many of the rows to go on, or back, from there.
+        slot_of: Where the slot's value depends on the row's variable (CLASSIFIER): for each variable
+            its slot; `slot` is then one of these.
     """
 
-    variable: int | None
-    how: Which | str
+    variables: tuple[int, ...] | None
+    how: How
     slot: int | None
+    offset: int = 0
+    slot_of: tuple[int, ...] | None = None
+
+    def takes(self, variable: int) -> bool:
+        """Whether a row of this variable counts."""
+        return self.variables is None or variable in self.variables
+
+    def slot_for(self, variable: int) -> int | None:
+        """The slot that is read at a row of this variable."""
+        return self.slot if self.slot_of is None else self.slot_of[variable]
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,13 +75,12 @@ class BoundRule:
 
     Attributes:
         rule: The rule.
-        type: The event type after FROM.
+        inputs: The arms of FROM.
         variables: Pattern variables by index.
         program: The pattern.
         tables: The same, as the matcher takes it.
         columns: The columns read, with their types; `source` among them.
         keys: The partition columns.
-        where: The filter of FROM.
         predicates: Row-local conditions, each once.
         slots: Row-local values that guards and registers read.
         registers: What a match remembers.
@@ -73,21 +90,20 @@ class BoundRule:
         title_columns: What the title shows beside measures and partition columns.
         within_us: WITHIN in microseconds.
         skip: AFTER MATCH SKIP, and the index of its variable.
-        skip_variable: Index of the variable of SKIP TO.
+        skip_variables: Indices of the variables that SKIP TO means; several, if it names a SUBSET.
         reach: How many rows before the row at hand any expression looks at.
         looks_back: Whether a match's first rows look at rows before the match.
-        frame_sizes: Known when bound, (width, height) in pixels.
+        site: What is known of the cameras when bound; a run goes on from a copy.
         limits: What the rule may use.
     """
 
     rule: Rule
-    type: str
+    inputs: tuple[Input, ...]
     variables: tuple[str, ...]
     program: tuple[Instruction, ...]
     tables: Tables
     columns: Mapping[str, Kind]
     keys: tuple[str, ...]
-    where: Expr | None
     predicates: tuple[Expr, ...]
     slots: tuple[Expr, ...]
     registers: tuple[Register, ...]
@@ -97,8 +113,18 @@ class BoundRule:
     title_columns: tuple[Output, ...]
     within_us: int | None
     skip: SkipMode
-    skip_variable: int | None
+    skip_variables: tuple[int, ...]
     reach: int
     looks_back: bool
-    frame_sizes: Mapping[str, FrameSize]
+    site: Site
     limits: Limits
+
+    @property
+    def types(self) -> frozenset[str]:
+        """The event types that the rule reads."""
+        return frozenset(each.type for each in self.inputs)
+
+    @property
+    def plain_input(self) -> Input | None:
+        """The only arm, where a row is the event itself; None where rows are computed, or come from several arms."""
+        return self.inputs[0] if len(self.inputs) == 1 and self.inputs[0].is_plain else None

@@ -17,13 +17,16 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from patterns.bound import BoundRule, Register
-from patterns.columns import ColumnEvaluator, Places, Rows
+from patterns.columns import ColumnEvaluator, Rows
 from patterns.errors import LimitError
 from patterns.expressions import walk
-from patterns.geometry import FrameSize
-from patterns.guards import UNSET, compile_guard
-from patterns.matcher import Block, Found, Machine, Matcher, Partition, Update
+from patterns.guards import compile_guard
+from patterns.matcher import Block, Found, Machine, Matcher, Partition
+from patterns.places import Places
+from patterns.registers import Update, initial, update_of
+from patterns.registers import live_registers as _live
 from patterns.rows import SEQUENCE, STREAM, TIME, partition_codes
+from patterns.site import Site
 
 Key = tuple[Any, ...]
 
@@ -63,9 +66,9 @@ class _Grouped:
 class Engine:
     """Runs one rule. Partitions are independent; those with nothing to remember are forgotten."""
 
-    def __init__(self, bound: BoundRule, frame_sizes: dict[str, FrameSize]) -> None:
+    def __init__(self, bound: BoundRule, site: Site) -> None:
         self.bound = bound
-        self.places = Places(bound.rule.zones, bound.rule.lines, frame_sizes)
+        self.places = Places(bound.rule.zones, bound.rule.lines, site)
         self.masks = tuple(sum(1 << at for at in each.predicates) for each in bound.conditions)
         self.matcher = Matcher(machine_of(bound, self.places, self.masks))
         self.open: dict[Key, Open] = {}
@@ -78,7 +81,6 @@ class Engine:
         Raises:
             MatchError: The rule cannot go on with these rows.
         """
-        rows = self._filtered(rows)
         if rows.num_rows == 0:
             return []
         grouped = self._grouped(rows)
@@ -116,12 +118,6 @@ class Engine:
         self._keep(key, state)
 
     # From rows to columns.
-
-    def _filtered(self, rows: pa.Table) -> pa.Table:
-        if self.bound.where is None or rows.num_rows == 0:
-            return rows
-        evaluator = ColumnEvaluator(Rows(rows, np.zeros(rows.num_rows, dtype=np.int64)), self.places)
-        return rows.filter(pa.array(evaluator.truth(self.bound.where)))
 
     def _grouped(self, rows: pa.Table) -> _Grouped:
         codes = partition_codes(rows, self.bound.keys)
@@ -166,7 +162,7 @@ class Engine:
         is_last[grouped.bounds[1:] - 1] = True
         starts = np.zeros(grouped.table.num_rows, dtype=bool)
         seen: set[tuple[int, frozenset[int] | None]] = set()
-        for position in tables.follow[tables.start]:
+        for position in tables.firsts():
             first = tables.variables[position]
             after = None if tables.accepts[position] else frozenset(
                 tables.variables[each] for each in tables.follow[position]
@@ -229,10 +225,12 @@ class Engine:
         for group in wanted:
             key = grouped.keys[group]
             state = self.open.get(key) or Open()
+            length = int(grouped.bounds[group + 1] - grouped.fresh[group])
             if active[group]:
-                length = int(grouped.bounds[group + 1] - grouped.fresh[group])
                 found += [(key, each) for each in self.matcher.run(state.partition, block, at, at + length)]
                 at += length
+            else:
+                state.partition.ordinal += length
             self._keep(key, state)
         if self.bound.reach:
             self._keep_tails(grouped, [group for group in wanted if grouped.keys[group] in self.open])
@@ -284,46 +282,25 @@ def machine_of(bound: BoundRule, places: Places, masks: tuple[int, ...]) -> Mach
         None if each.guard is None else compile_guard(each.guard, slots, register_of, places)
         for each in bound.conditions
     ]
-    updates = [_updates(bound.registers, variable) for variable in range(len(bound.variables))]
+    updates = [_updates(bound.registers, variable, bound.limits.listed) for variable in range(len(bound.variables))]
     return Machine(
         tables=tables,
         masks=tuple(masks[variable] for variable in tables.variables),
         guards=tuple(guards[variable] for variable in tables.variables),
         updates=tuple(updates[variable] for variable in tables.variables),
         live=live_registers(bound),
-        registers=tuple(_initial(register) for register in bound.registers),
+        registers=tuple(initial(register) for register in bound.registers),
         within_us=bound.within_us,
         skip=bound.skip,
-        skip_variable=bound.skip_variable,
+        skip_variables=bound.skip_variables,
         threads_most=bound.limits.threads,
     )
 
 
 def live_registers(bound: BoundRule) -> tuple[tuple[int, ...], ...]:
-    """For each position the registers whose value after it can still change which match is found.
-
-    Backward data flow over the pattern's positions, to the fixed point.
-    """
-    tables = bound.tables
+    """For each position the registers whose value after it can still change which match is found."""
     reads = [_guard_reads(bound, variable) for variable in range(len(bound.variables))]
-    written = [
-        {index for index, register in enumerate(bound.registers) if register.variable in (None, variable)}
-        for variable in range(len(bound.variables))
-    ]
-    overwritten = [{index for index in each if bound.registers[index].how == "last"} for each in written]
-    live: list[set[int]] = [set() for _ in tables.variables]
-    changed = True
-    while changed:
-        changed = False
-        for position in range(len(live)):
-            needed: set[int] = set()
-            for after in tables.follow[position]:
-                variable = tables.variables[after]
-                needed |= (reads[variable] | live[after]) - overwritten[variable]
-            if needed != live[position]:
-                live[position] = needed
-                changed = True
-    return tuple(tuple(sorted(each)) for each in live)
+    return _live(bound.tables, bound.registers, reads)
 
 
 def _guard_reads(bound: BoundRule, variable: int) -> set[int]:
@@ -333,15 +310,9 @@ def _guard_reads(bound: BoundRule, variable: int) -> set[int]:
     return {bound.register_of[part] for part in walk(guard) if part in bound.register_of}
 
 
-def _updates(registers: tuple[Register, ...], variable: int) -> tuple[Update, ...]:
+def _updates(registers: tuple[Register, ...], variable: int, listed_most: int) -> tuple[Update, ...]:
     return tuple(
-        (index, register.how, -1 if register.slot is None else register.slot)
+        update_of(index, register, variable, listed_most)
         for index, register in enumerate(registers)
-        if register.variable in (None, variable)
+        if register.takes(variable)
     )
-
-
-def _initial(register: Register) -> Any:
-    if register.how in ("rows", "values"):
-        return 0
-    return UNSET if register.how == "first" else None

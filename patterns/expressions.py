@@ -12,9 +12,11 @@ from enum import Enum
 from typing import Literal
 
 from patterns.geometry import Direction
+from patterns.ground import GroundValue
 
 Value = bool | int | float | str | None
 Which = Literal["first", "last"]
+AggregateHow = Literal["rows", "values", "sum", "min", "max"]
 
 LENIENT = frozenset({"and", "or", "is_null", "case", "coalesce"})
 COMPARISONS = frozenset({"=", "<>", "<", "<=", ">", ">="})
@@ -63,11 +65,15 @@ class Shift:
 
 @dataclass(frozen=True, slots=True)
 class Reference:
-    """The operand's value at the first or last row mapped to a variable; `variable` None: to any."""
+    """The operand's value at the first or last row mapped to any of the variables; None: to any variable.
 
-    variable: str | None
+    `offset`: how many of these rows further on from the first, or back from the last.
+    """
+
+    variables: tuple[str, ...] | None
     which: Which
     operand: "Expr"
+    offset: int = 0
 
     @property
     def kind(self) -> Kind:
@@ -76,12 +82,23 @@ class Reference:
 
 
 @dataclass(frozen=True, slots=True)
-class Count:
-    """How many rows are mapped to a variable (None: to any) and have the operand, where given, not NULL."""
+class Aggregate:
+    """What the rows mapped to any of the variables (None: to any variable) come to.
 
-    variable: str | None
+    `how`: how many `rows`; how many `values` of the operand that are not NULL; their `sum`, `min` or `max`.
+    """
+
+    variables: tuple[str, ...] | None
+    how: AggregateHow
     operand: "Expr | None"
-    kind: Kind = Kind.INT
+    kind: Kind
+
+
+@dataclass(frozen=True, slots=True)
+class Classifier:
+    """The name of the variable that the row is mapped to."""
+
+    kind: Kind = Kind.STRING
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,16 +135,37 @@ class Crosses:
     kind: Kind = Kind.BOOL
 
 
-Expr = Const | Column | Shift | Reference | Count | Call | InZone | Crosses
+@dataclass(frozen=True, slots=True)
+class OnGround:
+    """Where a point lies on the ground (m to the east or north), or how fast it moves there (m/s).
+
+    Operands: the source, then x and y in pixels, and for the speed vx and vy in pixels a second.
+    """
+
+    what: GroundValue
+    operands: tuple["Expr", ...]
+    kind: Kind = Kind.FLOAT
+
+
+@dataclass(frozen=True, slots=True)
+class OneOf:
+    """Whether the operand, the only one, is among the values of a list, none of which is NULL."""
+
+    values: frozenset[bool | int | float | str]
+    operands: tuple["Expr", ...]
+    kind: Kind = Kind.BOOL
+
+
+Expr = Const | Column | Classifier | Shift | Reference | Aggregate | Call | InZone | Crosses | OnGround | OneOf
 
 
 def operands(expr: Expr) -> tuple[Expr, ...]:
     """The expressions directly below this one."""
-    if isinstance(expr, Call | InZone | Crosses):
+    if isinstance(expr, Call | InZone | Crosses | OnGround | OneOf):
         return expr.operands
     if isinstance(expr, Shift | Reference):
         return (expr.operand,)
-    if isinstance(expr, Count) and expr.operand is not None:
+    if isinstance(expr, Aggregate) and expr.operand is not None:
         return (expr.operand,)
     return ()
 
@@ -141,16 +179,18 @@ def walk(expr: Expr) -> Iterator[Expr]:
 
 def rebuilt(expr: Expr, change: Callable[[Expr], Expr]) -> Expr:
     """The expression with each of its direct operands changed."""
-    if isinstance(expr, Call | InZone | Crosses):
+    if isinstance(expr, Call | InZone | Crosses | OnGround | OneOf):
         return replace(expr, operands=tuple(change(operand) for operand in expr.operands))
     if isinstance(expr, Shift | Reference):
+        return replace(expr, operand=change(expr.operand))
+    if isinstance(expr, Aggregate) and expr.operand is not None:
         return replace(expr, operand=change(expr.operand))
     return expr
 
 
 def is_row_local(expr: Expr) -> bool:
     """Whether the row at hand and its predecessors alone decide the value."""
-    return not any(isinstance(node, Reference | Count) for node in walk(expr))
+    return not any(isinstance(node, Reference | Aggregate | Classifier) for node in walk(expr))
 
 
 def is_constant(expr: Expr) -> bool:

@@ -19,23 +19,19 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from patterns.errors import LimitError, SkipError
-from patterns.guards import UNSET
 from patterns.program import Tables
+from patterns.registers import Registers, Update, updated
 from patterns.syntax import SkipMode
 
 Event = tuple[int, int, int]
 """(stream number, sequence, time in microseconds)."""
 
-Registers = tuple[Any, ...]
 Trace = tuple[Any, int, int, int, int, int, int]
 """One run of rows and what came before: (earlier trace or None, variable, stream, first sequence,
 last sequence, ordinal of the first row, number of rows)."""
 
 Thread = tuple[int, Registers, Trace | None]
 """(position that took the last row, registers, trace)."""
-
-Update = tuple[int, str, int]
-"""(register, one of first, last, rows, values, slot)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +47,7 @@ class Machine:
         registers: What they hold before the first row.
         within_us: A match's last row is less than this after its first.
         skip: Where the search goes on after a match.
-        skip_variable: Index of the variable of SKIP TO.
+        skip_variables: Indices of the variables that SKIP TO means.
         threads_most: The limit `threads`, for one partition.
     """
 
@@ -63,7 +59,7 @@ class Machine:
     registers: Registers
     within_us: int | None
     skip: SkipMode
-    skip_variable: int | None
+    skip_variables: tuple[int, ...]
     threads_most: int
 
     @property
@@ -123,10 +119,12 @@ class Partition:
     Attributes:
         attempts: By start.
         ordinal: The number of its next row.
+        last: The event of its last row, while there are attempts.
     """
 
     attempts: list[Attempt] = field(default_factory=list)
     ordinal: int = 0
+    last: Event | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,6 +181,7 @@ class Matcher:
                 found += self._resolved(attempts, event[2], event)
             row += 1
         partition.ordinal += end - begin
+        partition.last = block.events[end - 1] if attempts else None
         return found
 
     def expire(self, partition: Partition, until_us: int) -> list[Found]:
@@ -199,10 +198,22 @@ class Matcher:
         """The matches made final because there are no more rows."""
         found = []
         attempts = partition.attempts
+        for attempt in attempts:
+            self._end(attempt, partition)
         while attempts:
-            attempts[0].threads = []
             found += self._resolved(attempts, self.deadline(attempts[0]), None)
         return found
+
+    def _end(self, attempt: Attempt, partition: Partition) -> None:
+        """No more rows: the preferred of the threads that may end here is the attempt's match, if there is one."""
+        accepts_end = self.machine.tables.accepts_end
+        for position, registers, trace in attempt.threads:
+            if accepts_end[position]:
+                assert trace is not None, "a thread has taken a row"
+                assert partition.last is not None, "there are threads"
+                attempt.ending = Ending(registers, trace, partition.last, partition.ordinal - 1)
+                break
+        attempt.threads = []
 
     def deadline(self, attempt: Attempt) -> int | None:
         """The time from which on no row can belong to the attempt."""
@@ -215,7 +226,8 @@ class Matcher:
 
     def _begin(self, attempts: list[Attempt], event: Event, ordinal: int) -> None:
         machine = self.machine
-        attempts.append(Attempt(event, ordinal, [(machine.tables.start, machine.registers, None)]))
+        place = machine.tables.starting(is_first=ordinal == 0)
+        attempts.append(Attempt(event, ordinal, [(place, machine.registers, None)]))
 
     def _step(self, attempts: list[Attempt], block: Block, row: int, ordinal: int) -> None:
         """Every thread of every attempt takes the row, or dies.
@@ -251,7 +263,8 @@ class Matcher:
         machine = self.machine
         start = attempt.ordinal
         masks, guards, updates, live = machine.masks, machine.guards, machine.updates, machine.live
-        follow, accepts, variables = machine.tables.follow, machine.tables.accepts, machine.tables.variables
+        tables = machine.tables
+        follow, accepts, accepts_end, variables = tables.follow, tables.accepts, tables.accepts_end, tables.variables
         bits, event, values = block.bits[row], block.events[row], block.values[row]
         threads: list[Thread] = []
         for position, registers, trace in attempt.threads:
@@ -259,7 +272,7 @@ class Matcher:
                 mask = masks[target]
                 if bits & mask != mask:
                     continue
-                taken = _updated(registers, updates[target], values) if updates[target] else registers
+                taken = updated(registers, updates[target], values) if updates[target] else registers
                 guard = guards[target]
                 if guard is not None and guard(values, taken) is not True:
                     continue
@@ -268,7 +281,7 @@ class Matcher:
                     continue
                 seen[key] = safe_until
                 longer = _extended(trace, variables[target], event, ordinal)
-                if follow[target]:
+                if follow[target] or accepts_end[target] != accepts[target]:
                     threads.append((target, taken, longer))
                 if accepts[target]:
                     attempt.threads = threads
@@ -289,36 +302,27 @@ class Matcher:
             attempt = attempts.pop(0)
             if attempt.ending is not None:
                 found.append(Found(attempt.event, attempt.ending, decided_us, decided_by))
-                resume = self._resume(attempt, attempt.ending)
+                resume = self.resume(attempt.ordinal, attempt.ending)
                 attempts[:] = [later for later in attempts if later.ordinal >= resume]
         return found
 
-    def _resume(self, attempt: Attempt, ending: Ending) -> int:
-        """The number of the row where the search goes on after this match."""
+    def resume(self, start: int, ending: Ending) -> int:
+        """The number of the row where the search goes on after the match that begins at row `start`.
+
+        Raises:
+            SkipError: There is none.
+        """
         skip = self.machine.skip
         if skip is SkipMode.PAST_LAST_ROW:
             return ending.ordinal + 1
         if skip is SkipMode.TO_NEXT_ROW:
-            return attempt.ordinal + 1
-        target = _skip_target(ending.trace, self.machine.skip_variable, is_first=skip is SkipMode.TO_FIRST)
+            return start + 1
+        target = _skip_target(ending.trace, self.machine.skip_variables, is_first=skip is SkipMode.TO_FIRST)
         if target is None:
             raise SkipError(f"AFTER MATCH SKIP {skip.value}: the variable is not in the match")
-        if target == attempt.ordinal:
+        if target == start:
             raise SkipError(f"AFTER MATCH SKIP {skip.value}: it goes to the first row of the match, for ever")
         return target
-
-
-def _updated(registers: Registers, updates: tuple[Update, ...], values: Sequence[Any]) -> Registers:
-    changed = list(registers)
-    for register, how, slot in updates:
-        if how == "last":
-            changed[register] = values[slot]
-        elif how == "first":
-            if changed[register] is UNSET:
-                changed[register] = values[slot]
-        elif how == "rows" or values[slot] is not None:
-            changed[register] += 1
-    return tuple(changed)
 
 
 def _extended(trace: Trace | None, variable: int, event: Event, ordinal: int) -> Trace:
@@ -337,8 +341,8 @@ def runs(trace: Trace | None) -> list[Trace]:
     return found[::-1]
 
 
-def _skip_target(trace: Trace, variable: int | None, is_first: bool) -> int | None:
-    of_variable = [run for run in runs(trace) if run[1] == variable]
+def _skip_target(trace: Trace, variables: tuple[int, ...], is_first: bool) -> int | None:
+    of_variable = [run for run in runs(trace) if run[1] in variables]
     if not of_variable:
         return None
     return of_variable[0][5] if is_first else of_variable[-1][5] + of_variable[-1][6] - 1

@@ -1,26 +1,61 @@
-"""A rule's SQL, from text to `Query`: the clauses of MATCH_RECOGNIZE and the SELECT around them.
+"""MATCH_RECOGNIZE, from text to `Clause`; and a rule's SQL, the SELECT around one clause, to `Query`.
 
 The clauses are read here, word by word; sqlglot parses each scalar expression.
-What SQL:2016 allows and this version does not understand is refused by name,
-never misread. Names are not resolved: `patterns.binder` does that.
+What is not understood is refused by name, never misread. Names are not
+resolved: `patterns.binder` does that for rules, `patterns.recognition` for
+queries.
 """
 
-from typing import NoReturn
+from collections.abc import Callable
+from typing import NoReturn, TypeVar
 
 from sqlglot import exp
 from sqlglot.dialects.dialect import Dialect
 from sqlglot.errors import ParseError
 from sqlglot.tokenizer_core import Token, TokenType
 
+from patterns.dialect import ClauseDialect
 from patterns.errors import NotSupportedYet
 from patterns.pattern_parser import parse_pattern
-from patterns.syntax import Identifier, Named, Pattern, Query, Scalar, Skip, SkipMode
+from patterns.syntax import (
+    Arm,
+    Clause,
+    Identifier,
+    Item,
+    Named,
+    Ordering,
+    Pattern,
+    Query,
+    RowsPerMatch,
+    Scalar,
+    Skip,
+    SkipMode,
+    Subset,
+)
 from patterns.text import Passage
 from patterns.tokens import Word, canonical_name, tokenise
 
+SITUATION_TYPE = "situation_detected"
+_T = TypeVar("_T")
 _CLAUSES = ("PARTITION", "ORDER", "MEASURES", "ONE", "ALL", "AFTER", "INITIAL", "SEEK", "PATTERN", "SUBSET", "DEFINE")
+_OPENING, _CLOSING = ("(", "[", "{"), (")", "]", "}")
 _QUERY_NOT_YET = ("UNION", "EXCEPT", "INTERSECT", "JOIN", "WHERE", "GROUP", "ORDER", "HAVING", "LIMIT", "WITH",
                   "MATCH_RECOGNIZE", "CROSS", "LEFT", "RIGHT", "FULL", "INNER")  # fmt: skip
+
+
+def parse_clause(passage: Passage, offset: int) -> tuple[Clause, int]:
+    """The clause whose MATCH_RECOGNIZE stands at this offset, and the offset after its closing parenthesis.
+
+    Its expressions are DuckDB's SQL. Words after the clause are not looked at.
+
+    Raises:
+        RuleError: Not a MATCH_RECOGNIZE clause.
+    """
+    parser = _Parser(passage, ClauseDialect())
+    while parser.has_word() and parser.offset() < offset:
+        parser.index += 1
+    clause = parser.clause()
+    return clause, parser.words[parser.index - 1].end
 
 
 def parse(passage: Passage) -> Query:
@@ -36,9 +71,10 @@ def parse(passage: Passage) -> Query:
 class _Parser:
     """A cursor over the words, one method for each clause."""
 
-    def __init__(self, passage: Passage) -> None:
+    def __init__(self, passage: Passage, dialect: Dialect | None = None) -> None:
         self.passage = passage
-        self.words = tokenise(passage)
+        self.dialect = dialect or Dialect.get_or_raise(None)
+        self.words = tokenise(passage, self.dialect, skips_patterns=True)
         self.index = 0
 
     # The SELECT around the clause.
@@ -49,13 +85,10 @@ class _Parser:
         self.expect("SELECT")
         self.select_star()
         self.expect("FROM")
-        source_type, where = self.source()
-        self.expect("MATCH_RECOGNIZE")
-        self.expect("(")
-        query = self.clauses(source_type, where)
-        self.expect(")")
+        arms = self.arms()
+        clause = self.clause()
         self.end()
-        return query
+        return Query(self.passage, arms, clause)
 
     def select_star(self) -> None:
         if self.key() != "*":
@@ -64,24 +97,76 @@ class _Parser:
         if self.key() == ",":
             self.refuse("a SELECT list other than *")
 
-    def source(self) -> tuple[Identifier, Scalar | None]:
-        if self.key() != "(":
-            name = self.identifier("an event type")
+    def arms(self) -> tuple[Arm, ...]:
+        if not self.accept("("):
+            name, rule = self.event_type()
             if self.key() in (",", *_QUERY_NOT_YET) and self.key() != "MATCH_RECOGNIZE":
                 self.refuse(f"{self.word_shown()} after FROM")
-            return name, None
-        self.index += 1
-        self.expect("SELECT")
-        self.select_star()
-        self.expect("FROM")
-        name = self.identifier("an event type")
-        where = None
-        if self.accept("WHERE"):
-            where = self.scalar("WHERE", stops=(*_QUERY_NOT_YET, "WINDOW", "QUALIFY"))
+            return (Arm(name, rule, has_star=True, items=(), where=None),)
+        arms = [self.arm()]
+        while self.unites():
+            arms.append(self.arm())
         if self.key() in _QUERY_NOT_YET or self.key() == ",":
             self.refuse(f"{self.word_shown()} in a sub-query of FROM")
         self.expect(")")
-        return name, where
+        return tuple(arms)
+
+    def unites(self) -> bool:
+        """Whether another arm follows; it is united BY NAME."""
+        at = self.offset()
+        if not self.accept("UNION"):
+            return False
+        if not self.accept("ALL"):
+            raise self.passage.error("UNION takes out rows that are alike, and no two events are. "
+                                     "Next: write UNION ALL BY NAME", at)  # fmt: skip
+        if not self.accept("BY"):
+            raise self.passage.error("UNION ALL by position would mix columns up when a type's next version has more. "
+                                     "Next: write UNION ALL BY NAME", at)  # fmt: skip
+        self.expect("NAME")
+        return True
+
+    def arm(self) -> Arm:
+        self.expect("SELECT")
+        has_star, items = self.select_list()
+        self.expect("FROM")
+        name, rule = self.event_type()
+        where = None
+        if self.accept("WHERE"):
+            where = self.scalar("WHERE", stops=(*_QUERY_NOT_YET, "WINDOW", "QUALIFY"))
+        return Arm(name, rule, has_star, items, where)
+
+    def event_type(self) -> tuple[Identifier, str | None]:
+        """An event type, or the situations of a rule."""
+        name = self.identifier("an event type")
+        if name.key != "SITUATION" or self.key() != "(":
+            return name, None
+        self.index += 1
+        word = self.words[self.index] if self.has_word() else None
+        if word is None or word.kind is not TokenType.STRING:
+            self.fail(f"wanted situation('rule'), got {self.word_shown()}")
+        self.index += 1
+        self.expect(")")
+        return Identifier(SITUATION_TYPE, SITUATION_TYPE.upper(), name.at), word.name
+
+    def select_list(self) -> tuple[bool, tuple[Item, ...]]:
+        has_star = self.accept("*")
+        items = [] if has_star else [self.item()]
+        while self.accept(","):
+            items.append(self.item())
+        return has_star, tuple(items)
+
+    def item(self) -> Item:
+        """`column`, or `expression AS column`."""
+        first = self.index
+        value = self.scalar("SELECT", stops=("AS", "FROM"))
+        is_column = self.index == first + 1 and self.words[first].is_identifier
+        if self.accept("AS"):
+            first = self.index
+            self.identifier("the column's name")
+        elif not is_column:
+            raise self.passage.error("SELECT: an expression needs a name. Next: write ... AS name", value.at)
+        word = self.words[first]
+        return Item(word.name if word.is_quoted else word.name.lower(), word.start, value)
 
     def end(self) -> None:
         if self.accept("AS") or (self.has_word() and self.key() not in (";", *_QUERY_NOT_YET)):
@@ -95,77 +180,88 @@ class _Parser:
 
     # The clauses, in the order that the standard gives them.
 
-    def clauses(self, source_type: Identifier, where: Scalar | None) -> Query:
+    def clause(self) -> Clause:
+        at = self.offset()
+        self.expect("MATCH_RECOGNIZE")
+        self.expect("(")
         partition_by = self.partition_by()
-        self.order_by("ORDER BY time" if partition_by else "PARTITION BY or ORDER BY")
+        order_by = self.order_by()
         measures = self.measures()
-        self.rows_per_match()
+        rows_at = self.offset()
+        rows = self.rows_per_match()
         skip = self.after_match()
-        self.no_search_mode()
+        self.search_mode()
         pattern, pattern_at = self.pattern()
         within = self.within() if self.accept("WITHIN") else None
-        if self.key() == "SUBSET":
-            self.refuse("SUBSET")
+        subsets = self.subsets()
         defines = self.defines()
         self.no_further_clause()
-        return Query(
-            self.passage, source_type, where, partition_by, measures, skip, pattern, pattern_at, within, defines
-        )
+        self.expect(")")
+        return Clause(
+            self.passage, at, partition_by, order_by, measures, rows, rows_at, skip, pattern, pattern_at, within,
+            subsets, defines,
+        )  # fmt: skip
 
     def partition_by(self) -> tuple[Identifier, ...]:
         if not self.accept("PARTITION"):
             return ()
         self.expect("BY")
-        columns = [self.identifier("a column to partition by")]
-        while self.accept(","):
-            columns.append(self.identifier("a column to partition by"))
-        return tuple(columns)
+        return self.separated(lambda: self.column("a column to partition by"))
 
-    def order_by(self, wanted_here: str) -> None:
-        self.expect("ORDER", wanted_here)
+    def order_by(self) -> tuple[Ordering, ...]:
+        if not self.accept("ORDER"):
+            return ()
         self.expect("BY")
-        for position, wanted in enumerate(("TIME", "SEQUENCE")):
-            if position > 0 and not self.accept(","):
-                return
-            column = self.identifier(f"the column {wanted.lower()}")
-            if column.key != wanted:
-                self.refuse_at(f"ORDER BY {column.name} (only time and sequence order events)", column.at)
-            if self.key() in ("DESC", "NULLS"):
-                self.refuse(f"ORDER BY ... {self.key()}")
+        return self.separated(self.ordering)
+
+    def ordering(self) -> Ordering:
+        column = self.column("a column to order by")
+        is_descending = self.accept("DESC")
+        if not is_descending:
             self.accept("ASC")
-        if self.key() == ",":
-            self.refuse("ORDER BY more than time and sequence")
+        nulls_first = None
+        if self.accept("NULLS"):
+            nulls_first = self.accept("FIRST")
+            if not nulls_first:
+                self.expect("LAST", "FIRST or LAST")
+        return Ordering(column, is_descending, nulls_first)
+
+    def column(self, what: str) -> Identifier:
+        """A column's name; a table's before it is left out."""
+        name = self.identifier(what)
+        return self.identifier(what) if self.accept(".") else name
 
     def measures(self) -> tuple[Named, ...]:
-        if not self.accept("MEASURES"):
-            return ()
-        measures = [self.measure()]
-        while self.accept(","):
-            measures.append(self.measure())
-        return tuple(measures)
+        return self.separated(self.measure) if self.accept("MEASURES") else ()
 
     def measure(self) -> Named:
-        if self.key() in ("RUNNING", "FINAL"):
-            self.refuse(f"MEASURES: {self.key()}")
         value = self.scalar("MEASURES", stops=("AS",))
         self.expect("AS", "AS and the measure's name")
         return Named(self.identifier("the measure's name"), value)
 
-    def rows_per_match(self) -> None:
-        if self.key() == "ALL":
-            self.refuse("ALL ROWS PER MATCH")
+    def rows_per_match(self) -> RowsPerMatch:
         if self.accept("ONE"):
-            for word in ("ROW", "PER", "MATCH"):
-                self.expect(word)
+            self.expect_all("ROW", "PER", "MATCH")
+            return RowsPerMatch.ONE
+        if not self.accept("ALL"):
+            return RowsPerMatch.ONE
+        self.expect_all("ROWS", "PER", "MATCH")
+        if self.accept("OMIT"):
+            self.expect_all("EMPTY", "MATCHES")
+            return RowsPerMatch.ALL_OMIT_EMPTY
+        if self.accept("WITH"):
+            self.expect_all("UNMATCHED", "ROWS")
+            return RowsPerMatch.ALL_WITH_UNMATCHED
+        if self.accept("SHOW"):
+            self.expect_all("EMPTY", "MATCHES")
+        return RowsPerMatch.ALL_SHOW_EMPTY
 
     def after_match(self) -> Skip:
         if not self.accept("AFTER"):
             return Skip(SkipMode.PAST_LAST_ROW)
-        self.expect("MATCH")
-        self.expect("SKIP")
+        self.expect_all("MATCH", "SKIP")
         if self.accept("PAST"):
-            self.expect("LAST")
-            self.expect("ROW")
+            self.expect_all("LAST", "ROW")
             return Skip(SkipMode.PAST_LAST_ROW)
         self.expect("TO", "PAST LAST ROW, TO NEXT ROW, TO FIRST v, TO LAST v or TO v")
         if self.key() == "NEXT" and self.key(1) == "ROW":
@@ -177,9 +273,11 @@ class _Parser:
             self.index += 1
         return Skip(mode, self.identifier("a pattern variable"))
 
-    def no_search_mode(self) -> None:
-        if self.key() in ("INITIAL", "SEEK"):
-            self.refuse(self.key())
+    def search_mode(self) -> None:
+        if self.key() == "SEEK":
+            message = "SEEK finds one match anywhere in a window; MATCH_RECOGNIZE in FROM finds all, so leave it out"
+            self.fail(message)
+        self.accept("INITIAL")
 
     def pattern(self) -> tuple[Pattern, int]:
         at = self.offset()
@@ -198,14 +296,22 @@ class _Parser:
             self.fail(f"WITHIN: wanted INTERVAL '10' SECOND or :parameter, got {shown}")
         return self.scalar("WITHIN")
 
+    def subsets(self) -> tuple[Subset, ...]:
+        return self.separated(self.subset) if self.accept("SUBSET") else ()
+
+    def subset(self) -> Subset:
+        name = self.identifier("a name for the union of variables")
+        self.expect("=")
+        self.expect("(")
+        members = self.separated(lambda: self.identifier("a pattern variable"))
+        self.expect(")")
+        return Subset(name, members)
+
     def defines(self) -> tuple[Named, ...]:
         if self.key() == ")":
             return ()
-        self.expect("DEFINE", "WITHIN, DEFINE or ')'")
-        defines = [self.define()]
-        while self.accept(","):
-            defines.append(self.define())
-        return tuple(defines)
+        self.expect("DEFINE", "WITHIN, SUBSET, DEFINE or ')'")
+        return self.separated(self.define)
 
     def define(self) -> Named:
         name = self.identifier("a pattern variable")
@@ -214,8 +320,8 @@ class _Parser:
 
     def no_further_clause(self) -> None:
         if self.key() in _CLAUSES:
-            self.fail(f"{self.key()} stands too late or twice; clauses come in the order "
-                      "PARTITION BY, ORDER BY, MEASURES, ONE ROW, AFTER MATCH, PATTERN, WITHIN, DEFINE")  # fmt: skip
+            self.fail(f"{self.key()} stands too late or twice; clauses come in the order PARTITION BY, ORDER BY, "
+                      "MEASURES, ONE ROW or ALL ROWS, AFTER MATCH, PATTERN, WITHIN, SUBSET, DEFINE")  # fmt: skip
 
     # Scalar expressions.
 
@@ -225,9 +331,9 @@ class _Parser:
         depth = 0
         while self.has_word():
             key = self.key()
-            if depth == 0 and (key in (",", ")") or key in stops or (key in _CLAUSES and self.begins_clause())):
+            if depth == 0 and (key in (",", *_CLOSING) or key in stops or (key in _CLAUSES and self.begins_clause())):
                 break
-            depth += (key == "(") - (key == ")")
+            depth += (key in _OPENING) - (key in _CLOSING)
             self.index += 1
         words = self.words[first : self.index]
         if not words:
@@ -237,11 +343,7 @@ class _Parser:
     def parse_words(self, words: list[Word], clause: str) -> exp.Expression:
         opening, closing = Token(TokenType.L_PAREN, "("), Token(TokenType.R_PAREN, ")")
         try:
-            trees = (
-                Dialect.get_or_raise(None)
-                .parser()
-                .parse([opening, *(word.token for word in words if word.token is not None), closing], self.passage.text)
-            )
+            trees = self.dialect.parser().parse([opening, *_tokens(words), closing], self.passage.text)
         except ParseError as error:
             raise self.passage.error(f"{clause}: {_complaint(error)}", _error_offset(error, words)) from error
         tree = trees[0]
@@ -276,6 +378,17 @@ class _Parser:
         self.index += 1
         return True
 
+    def separated(self, one: Callable[[], _T]) -> tuple[_T, ...]:
+        """One or more, with commas between them."""
+        found = [one()]
+        while self.accept(","):
+            found.append(one())
+        return tuple(found)
+
+    def expect_all(self, *keys: str) -> None:
+        for key in keys:
+            self.expect(key)
+
     def expect(self, key: str, wanted: str = "") -> None:
         if not self.accept(key):
             self.fail(f"wanted {wanted or key}, got {self.word_shown()}")
@@ -303,6 +416,35 @@ class _Parser:
 
     def refuse_at(self, what: str, at: int) -> NoReturn:
         raise self.passage.error(f"{what} is not supported yet", at, NotSupportedYet)
+
+
+def _tokens(words: list[Word]) -> list[Token]:
+    """The words' tokens; `FINAL LAST(x)` reads as `FINAL(LAST(x))`, which expressions have a form for."""
+    tokens: list[Token] = []
+    closing: list[int] = []
+    for index, word in enumerate(words):
+        if word.key in ("RUNNING", "FINAL") and _begins_call(words[index + 1 : index + 3]):
+            place = word.token or Token(TokenType.VAR, word.text)
+            tokens.append(Token(TokenType.VAR, word.key, place.line, place.col, place.start, place.end))
+            tokens.append(Token(TokenType.L_PAREN, "("))
+            closing.append(_end_of_call(words, index + 2))
+        elif word.token is not None:
+            tokens.append(word.token)
+        tokens += [Token(TokenType.R_PAREN, ")")] * closing.count(index)
+    return tokens
+
+
+def _begins_call(words: list[Word]) -> bool:
+    return len(words) == 2 and words[0].is_identifier and words[1].key == "("
+
+
+def _end_of_call(words: list[Word], opening: int) -> int:
+    depth = 0
+    for index in range(opening, len(words)):
+        depth += (words[index].key == "(") - (words[index].key == ")")
+        if depth == 0:
+            return index
+    return len(words) - 1
 
 
 def _complaint(error: ParseError) -> str:

@@ -4,15 +4,25 @@ sqlglot keeps this part as raw text, so its grammar is ours:
 
     pattern     = sequence { "|" sequence }
     sequence    = { primary [ quantifier [ "?" ] ] }
-    primary     = identifier | "(" pattern ")"
-    quantifier  = "*" | "+" | "?" | "{" n "}" | "{" n "," "}" | "{" "," m "}" | "{" n "," m "}"
+    primary     = identifier | "^" | "$" | "(" [ pattern ] ")" | "{-" pattern "-}"
+                | "PERMUTE" "(" pattern { "," pattern } ")"
+    quantifier  = "*" | "+" | "?" | "{" n "}" | "{" [ n ] "," [ m ] "}"
 """
 
 import re
 from typing import NoReturn
 
-from patterns.errors import NotSupportedYet
-from patterns.syntax import Alternation, Concatenation, Identifier, Pattern, Repetition, Variable
+from patterns.syntax import (
+    Alternation,
+    Anchor,
+    Concatenation,
+    Exclusion,
+    Identifier,
+    Pattern,
+    Permutation,
+    Repetition,
+    Variable,
+)
 from patterns.text import Passage
 from patterns.tokens import canonical_name
 
@@ -21,8 +31,9 @@ DEPTH_MOST = 100
 
 _SPACE = re.compile(r"(?:\s|--[^\n]*(?:\n|$)|/\*.*?\*/)*", re.DOTALL)
 _NAME = re.compile(r'[A-Za-z_][A-Za-z0-9_]*|"(?:[^"]|"")+"')
-_BOUNDS = re.compile(r"\{\s*(?:(\d+)\s*(?:(,)\s*(\d+)?\s*)?|,\s*(\d+))\s*\}")
-_NOT_YET = {"{-": "exclusion {- -}", "^": "the anchor ^", "$": "the anchor $"}
+_BOUNDS = re.compile(r"\{\s*(?:(\d+)\s*(?:(,)\s*(\d+)?\s*)?|,\s*(\d+)?\s*)\}")
+_PERMUTE = re.compile(r"PERMUTE(?=\s*\()", re.IGNORECASE)
+_ENDS = ("", "|", ")", ",")
 
 
 def parse_pattern(passage: Passage, opening: int) -> tuple[Pattern, int]:
@@ -30,11 +41,9 @@ def parse_pattern(passage: Passage, opening: int) -> tuple[Pattern, int]:
 
     Raises:
         RuleError: Not a pattern.
-        NotSupportedYet: The empty pattern, PERMUTE, exclusion or an anchor.
     """
-    reader = _Reader(passage, opening + 1)
-    tree = reader.alternation(0)
-    reader.close(opening)
+    reader = _Reader(passage, opening)
+    tree = reader.group(0)
     return tree, reader.at
 
 
@@ -44,6 +53,15 @@ class _Reader:
     def __init__(self, passage: Passage, at: int) -> None:
         self.passage = passage
         self.at = at
+        self.is_excluded = False
+
+    def group(self, depth: int) -> Pattern:
+        """What stands in parentheses; nothing is the empty pattern."""
+        opening = self.at
+        self.at += 1
+        inner = Concatenation(()) if self.peek() == ")" else self.alternation(depth)
+        self.close(opening)
+        return inner
 
     def alternation(self, depth: int) -> Pattern:
         if depth > DEPTH_MOST:
@@ -56,16 +74,15 @@ class _Reader:
 
     def sequence(self, depth: int) -> Pattern:
         parts: list[Pattern] = []
-        while self.peek() not in ("", "|", ")"):
+        while self.peek() not in _ENDS and not self.stands("-}"):
             parts.append(self.factor(depth))
         if not parts:
-            if self.peek() == ")" and self.passage.text[: self.at].rstrip().endswith("("):
-                self.refuse("the empty pattern ()")
             self.fail(f"PATTERN: wanted a variable or '(', got {self.shown()}")
         return parts[0] if len(parts) == 1 else Concatenation(tuple(parts))
 
     def factor(self, depth: int) -> Pattern:
         body = self.primary(depth)
+        self.peek()
         start = self.at
         bounds = self.quantifier()
         if bounds is None:
@@ -78,23 +95,50 @@ class _Reader:
         return Repetition(body, *bounds, greedy=greedy, at=start)
 
     def primary(self, depth: int) -> Pattern:
-        self.peek()
-        for sign, what in _NOT_YET.items():
-            if self.passage.text.startswith(sign, self.at):
-                self.refuse(what)
-        if self.peek() == "(":
-            opening = self.at
+        sign = self.peek()
+        if sign == "(":
+            return self.group(depth + 1)
+        if self.stands("{-"):
+            return self.exclusion(depth)
+        if sign in ("^", "$"):
             self.at += 1
-            inner = self.alternation(depth + 1)
-            self.close(opening)
-            return inner
+            return Anchor(sign == "^", self.at - 1)
+        if _PERMUTE.match(self.passage.text, self.at):
+            return self.permutation(depth)
         name = _NAME.match(self.passage.text, self.at)
         if name is None:
             self.fail(f"PATTERN: wanted a variable or '(', got {self.shown()}")
-        if name[0].upper() == "PERMUTE" and re.match(r"\s*\(", self.passage.text[name.end() :]):
-            self.refuse("PERMUTE")
         self.at = name.end()
         return Variable(_identifier(name))
+
+    def exclusion(self, depth: int) -> Pattern:
+        opening = self.at
+        if self.is_excluded:
+            self.fail("PATTERN: {- -} stands inside {- -}; leave out the inner one")
+        self.at += 2
+        self.is_excluded = True
+        body = self.alternation(depth + 1)
+        self.is_excluded = False
+        if not self.stands("-}"):
+            if self.peek() == "":
+                self.at = opening
+                self.fail("PATTERN: this {- is not closed")
+            self.fail(f"PATTERN: wanted '-}}', got {self.shown()}")
+        self.at += 2
+        return Exclusion(body, opening)
+
+    def permutation(self, depth: int) -> Pattern:
+        start = self.at
+        self.at += len("PERMUTE")
+        self.peek()
+        opening = self.at
+        self.at += 1
+        parts = [self.alternation(depth + 1)]
+        while self.peek() == ",":
+            self.at += 1
+            parts.append(self.alternation(depth + 1))
+        self.close(opening)
+        return parts[0] if len(parts) == 1 else Permutation(tuple(parts), start)
 
     def quantifier(self) -> tuple[int, int | None] | None:
         sign = self.peek()
@@ -102,13 +146,14 @@ class _Reader:
         if simple is not None:
             self.at += 1
             return simple
-        if sign != "{" or self.passage.text.startswith("{-", self.at):
+        if sign != "{" or self.stands("{-"):
             return None
         found = self.bounds()
         if found is None:
             self.fail("PATTERN: wanted {n}, {n,}, {,m} or {n,m}")
         least = int(found[1] or 0)
-        most = None if found[2] and not found[3] else int(found[3] or found[4] or least)
+        is_open = found[0].rstrip("} \t\n").endswith(",")
+        most = None if is_open else int(found[3] or found[4] or least)
         if most is not None and (most < least or most == 0):
             self.fail(f"PATTERN: a quantifier's upper bound must be at least 1 and its lower bound, got {found[0]}")
         if max(least, most or 0) > REPETITIONS_MOST:
@@ -127,6 +172,11 @@ class _Reader:
             self.fail(f"PATTERN: wanted ')', got {self.shown()}")
         self.at += 1
 
+    def stands(self, sign: str) -> bool:
+        """Whether this sign is next."""
+        self.peek()
+        return self.passage.text.startswith(sign, self.at)
+
     def peek(self) -> str:
         space = _SPACE.match(self.passage.text, self.at)
         assert space is not None
@@ -138,9 +188,6 @@ class _Reader:
 
     def fail(self, message: str) -> NoReturn:
         raise self.passage.error(message, self.at)
-
-    def refuse(self, what: str) -> NoReturn:
-        raise self.passage.error(f"PATTERN: {what} is not supported yet", self.at, NotSupportedYet)
 
 
 def _identifier(name: re.Match[str]) -> Identifier:

@@ -34,7 +34,6 @@ from events import (
     SituationDetected,
     StreamName,
     UnknownType,
-    VideoAdded,
     batch_of,
     decode,
     encode,
@@ -46,6 +45,7 @@ from patterns.binder import bind
 from patterns.errors import PatternError
 from patterns.rule import Rule
 from patterns.running import Outcome, RuleRun
+from patterns.site import SITE_TYPES
 from patterns.situations import Match
 from store import Log, Subscription, Transaction
 
@@ -53,7 +53,7 @@ logger = logging.getLogger(__name__)
 
 SOURCE = "rules"
 """Source of deployments, and of situations of a rule that is not partitioned by source."""
-_CONTROL: tuple[type[EventType], ...] = (VideoAdded, ProcessFinished, ProcessFailed)
+_CONTROL: tuple[type[EventType], ...] = (*SITE_TYPES, ProcessFinished, ProcessFailed)
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,7 +155,9 @@ class Processor:
         """Segments of a type or version unknown here, which took no part."""
         self._unknown = 0
         self._restore()
-        types = {each.type_name for each in _CONTROL} | {running.run.bound.type for running in self._running}
+        types = {each.type_name for each in _CONTROL} | {
+            name for running in self._running for name in running.run.input_types
+        }
         self._subscription = Subscription(log, "rules", types=sorted(types))
         self._subscription.position = self._first_position()
 
@@ -255,18 +257,18 @@ class Processor:
             running.failure = error
             logger.error("rule %s is set aside: %s", running.rule.rule, error)
             return []
-        return self._drafts(running.rule, matches)
+        return drafts_of(running.rule, self._station, matches)
 
     def _outcome(
         self, running: _Running, rows: pa.RecordBatch, events: Sequence[EventType], segment: Segment
     ) -> Outcome:
         source = segment.stream.source
         outcomes: list[Outcome] = []
-        if segment.stream.type == running.run.bound.type:
+        if segment.stream.type in running.run.input_types:
             outcomes.append(running.run.push(rows))
-        for event in events:
-            if isinstance(event, VideoAdded):
-                running.run.set_frame_size(source, event.width, event.height)
+        for number, event in enumerate(events):
+            if isinstance(event, SITE_TYPES):
+                running.run.learn(event, str(segment.stream), segment.header.first_sequence + number)
             else:
                 outcomes.append(running.run.source_ended(source))
         whole = Outcome(
@@ -276,15 +278,6 @@ class Processor:
         for late in whole.late:
             logger.warning("rule %s: %s/%d came too late", running.rule.rule, late.stream, late.sequence)
         return whole
-
-    def _drafts(self, rule: Rule, matches: Sequence[Match]) -> list[Draft]:
-        by_source: dict[str, list[SituationDetected]] = {}
-        for match in matches:
-            by_source.setdefault(str(match.partition.get("source") or SOURCE), []).append(situation_of(match))
-        return [
-            encode(StreamName.of(self._station, source, SituationDetected.type_name), batch_of(events), _producer(rule))
-            for source, events in by_source.items()
-        ]
 
     # Checkpoints.
 
@@ -330,6 +323,17 @@ class Processor:
         return min((each.saved for each in self._running if each.failure is None), default=self._log.head())
 
 
+def drafts_of(rule: Rule, station: str, matches: Sequence[Match]) -> list[Draft]:
+    """The matches as situations to append: one draft for each source, in order."""
+    by_source: dict[str, list[SituationDetected]] = {}
+    for match in matches:
+        by_source.setdefault(str(match.partition.get("source") or SOURCE), []).append(situation_of(match))
+    return [
+        encode(StreamName.of(station, source, SituationDetected.type_name), batch_of(events), _producer(rule))
+        for source, events in by_source.items()
+    ]
+
+
 def situation_of(match: Match) -> SituationDetected:
     """The event that says the match."""
     return SituationDetected(
@@ -352,7 +356,7 @@ def situation_of(match: Match) -> SituationDetected:
                 last_sequence=each.last_sequence,
                 events=each.rows,
             )
-            for variable, ranges in match.lineage.items()
+            for variable, ranges in (*match.lineage.items(), *match.judged_by.items())
             for each in ranges
         ),
     )

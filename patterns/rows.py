@@ -95,6 +95,16 @@ def in_total_order(rows: pa.Table, streams: StreamNumbers) -> pa.Table:
     return rows.take(pa.array(np.lexsort((sequence, rank, time))))
 
 
+def newest_by_source(batch: pa.Table) -> list[tuple[str, int]]:
+    """For each source its newest time in microseconds."""
+    times = batch.column("time").cast(pa.timestamp("us", batch.column("time").type.tz)).cast(pa.int64())
+    sources = batch.column("source")
+    newest = []
+    for source in sources.unique().to_pylist():
+        newest.append((source, pc.max(times.filter(pc.equal(sources, source))).as_py()))
+    return newest
+
+
 def partition_codes(rows: pa.Table, keys: Sequence[str]) -> NDArray[np.int64]:
     """For each row a number that rows of equal partition columns, and only these, share; NULL equals NULL."""
     codes = np.zeros(rows.num_rows, dtype=np.int64)

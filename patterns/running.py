@@ -16,19 +16,47 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from events import CameraCalibrated, EventType, ZoneDefined, ZoneRemoved
 from patterns.bound import BoundRule
 from patterns.clock import Clock
 from patterns.durations import microseconds
 from patterns.emitter import Emitter
 from patterns.engine import Engine, Key
 from patterns.errors import StateError
-from patterns.geometry import FrameSize
+from patterns.inputs import rows_of
 from patterns.matcher import Found
-from patterns.rows import SEQUENCE, STREAM, TIME, StreamNumbers, check_envelope, in_total_order, normalised
+from patterns.rows import (
+    SEQUENCE,
+    STREAM,
+    TIME,
+    StreamNumbers,
+    check_envelope,
+    in_total_order,
+    newest_by_source,
+)
 from patterns.saved import Saved, decode, encode, partitions_from_json, partitions_to_json
+from patterns.site import Site
 from patterns.situations import EventRef, Match, Narrator, as_microseconds, event_ref, nearest_time
+from patterns.titles import Scalar
 
 Rows: TypeAlias = pa.Table | pa.RecordBatch
+
+
+@dataclass(frozen=True, slots=True)
+class GivenUp:
+    """What a limit cost: partial matches of one partition that were forgotten.
+
+    Attributes:
+        partition: The partition columns and their values.
+        partial_matches: How many partial matches were forgotten; 0: only rows that one could have begun at.
+        why: The limit that was reached, in words.
+        since: The time of the first row of what was forgotten.
+    """
+
+    partition: dict[str, Scalar]
+    partial_matches: int
+    why: str
+    since: datetime
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,10 +66,16 @@ class Outcome:
     Attributes:
         matches: The matches that became final, in order.
         late: Rows that came after the watermark had passed them; they take part in no match.
+        given_up: What was forgotten because a limit was reached.
     """
 
     matches: tuple[Match, ...] = ()
     late: tuple[EventRef, ...] = ()
+    given_up: tuple[GivenUp, ...] = ()
+
+    def __add__(self, later: "Outcome") -> "Outcome":
+        """What this step and a later one led to."""
+        return Outcome(self.matches + later.matches, self.late + later.late, self.given_up + later.given_up)
 
 
 @dataclass(slots=True)
@@ -77,7 +111,7 @@ class RuleRun:
         rule = bound.rule
         self.bound = bound
         self.counts = Counts()
-        self._frame_sizes: dict[str, FrameSize] = dict(bound.frame_sizes)
+        self._site = bound.site.copy()
         idle = rule.time.idle
         self._clock = Clock(microseconds(rule.time.lateness), None if idle is None else microseconds(idle))
         self._streams = StreamNumbers()
@@ -87,9 +121,9 @@ class RuleRun:
         self._attach()
 
     @property
-    def input_type(self) -> str:
-        """The event type that the rule is written over."""
-        return self.bound.type
+    def input_types(self) -> frozenset[str]:
+        """The event types that the rule reads."""
+        return self.bound.types
 
     @property
     def watermark(self) -> datetime | None:
@@ -114,7 +148,25 @@ class RuleRun:
 
     def set_frame_size(self, source: str, width: int, height: int) -> None:
         """The source's frames have this size in pixels, from the next step on."""
-        self._frame_sizes[source] = (width, height)
+        self._site.frame_sizes[source] = (width, height)
+
+    def know(self, site: Site) -> None:
+        """Takes in all that another site knows, beside what was known when the rule was bound."""
+        self._site.take(site)
+
+    def learn(self, event: EventType, stream: str, sequence: int) -> None:
+        """Takes in what an event says of a camera; it holds for rows that are not final yet, and those to come.
+
+        Args:
+            event: An event of one of `patterns.site.SITE_TYPES`; others say nothing.
+            stream: Its stream, as station/source/type.
+            sequence: Its sequence there.
+
+        Raises:
+            MatchError: It says no zone, line or calibration, and the rule needs it.
+        """
+        if self._needs(event):
+            self._site.learn(event, stream, sequence, self._clock.watermark_us)
 
     def push(self, rows: Rows) -> Outcome:
         """Takes rows as they arrive, of any streams. Rows of other event types only move the watermark.
@@ -127,7 +179,7 @@ class RuleRun:
         if table.num_rows == 0:
             return Outcome()
         late = self._take(table)
-        for source, newest in _newest_by_source(table):
+        for source, newest in newest_by_source(table):
             self._clock.observe(source, newest)
         return Outcome(self._advance(), late)
 
@@ -160,7 +212,7 @@ class RuleRun:
         table = _as_table(rows)
         check_envelope(table)
         self._take(table)
-        for source, newest in _newest_by_source(table):
+        for source, newest in newest_by_source(table):
             self._clock.observe(source, newest)
 
     def state(self) -> bytes:
@@ -169,7 +221,7 @@ class RuleRun:
             "rule": self.bound.rule.hash,
             "columns": {name: kind.name for name, kind in self.bound.columns.items()},
             "streams": self._streams.names,
-            "frame_sizes": self._frame_sizes,
+            "site": self._site.to_json(),
             "clock": self._clock.to_json(),
             "emitter": self._emitter.to_json(),
             "counts": [self.counts.rows, self.counts.late, self.counts.matches],
@@ -191,7 +243,7 @@ class RuleRun:
         if header["columns"] != {name: kind.name for name, kind in self.bound.columns.items()}:
             raise StateError("the saved state is of the same rule over other columns")
         self._streams = StreamNumbers.of(header["streams"])
-        self._frame_sizes = {source: (width, height) for source, (width, height) in header["frame_sizes"].items()}
+        self._site = Site.from_json(header["site"])
         self._clock.restore(header["clock"])
         self._emitter.restore(header["emitter"])
         self.counts = Counts(*header["counts"])
@@ -201,18 +253,23 @@ class RuleRun:
         for key, remembered in partitions_from_json(header["partitions"]):
             self._engine.put(key, remembered)
 
+    def _needs(self, event: EventType) -> bool:
+        shared = self.bound.rule.shared
+        if isinstance(event, ZoneDefined | ZoneRemoved):
+            return event.zone in shared
+        return not isinstance(event, CameraCalibrated) or bool(shared) or self._narrator.needs_calibration
+
     # From arrival to release.
 
     def _attach(self) -> None:
-        self._engine = Engine(self.bound, self._frame_sizes)
+        self._engine = Engine(self.bound, self._site)
         self._narrator = Narrator(self.bound, self._engine.places, self._streams.names)
 
     def _take(self, table: pa.Table) -> tuple[EventRef, ...]:
         """Holds the rows that are in time; the others."""
-        rows = table.filter(pc.equal(table.column("type"), self.bound.type))
-        if rows.num_rows == 0:
+        rows = rows_of(self.bound.inputs, table, self._streams, self._engine.places)
+        if rows is None:
             return ()
-        rows = normalised(rows, self.bound.columns, self._streams)
         late: tuple[EventRef, ...] = ()
         if self._clock.watermark_us is not None:
             is_late = np.asarray(rows.column(TIME)) < self._clock.watermark_us
@@ -285,17 +342,6 @@ class RuleRun:
 
 def _as_table(rows: Rows) -> pa.Table:
     return pa.Table.from_batches([rows]) if isinstance(rows, pa.RecordBatch) else rows
-
-
-def _newest_by_source(table: pa.Table) -> list[tuple[str, int]]:
-    """For each source its newest time in microseconds."""
-    times = table.column("time").cast(pa.timestamp("us", table.column("time").type.tz)).cast(pa.int64())
-    sources = table.column("source")
-    newest = []
-    for source in sources.unique().to_pylist():
-        of_source = times.filter(pc.equal(sources, source))
-        newest.append((source, pc.max(of_source).as_py()))
-    return newest
 
 
 def _wall_us(now: datetime) -> int:

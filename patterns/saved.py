@@ -16,7 +16,6 @@ import zstandard
 
 from patterns.engine import Engine, Open
 from patterns.errors import StateError
-from patterns.guards import UNSET
 from patterns.matcher import Attempt, Ending, Partition, Trace, runs
 
 _MAGIC = b"VRS1"
@@ -63,7 +62,7 @@ def decode(state: bytes) -> Saved:
 def partitions_to_json(engine: Engine) -> list[Any]:
     """All that the engine remembers."""
     return [
-        [list(key), state.partition.ordinal, [list(row) for row in state.tail],
+        [list(key), state.partition.ordinal, state.partition.last, [list(row) for row in state.tail],
          [_attempt_to_json(attempt) for attempt in state.partition.attempts]]
         for key, state in engine.open.items()
     ]  # fmt: skip
@@ -71,8 +70,9 @@ def partitions_to_json(engine: Engine) -> list[Any]:
 
 def partitions_from_json(saved: list[Any]) -> Iterator[tuple[tuple[Any, ...], Open]]:
     """What the engine is to remember, by partition."""
-    for key, ordinal, tail, attempts in saved:
-        partition = Partition([_attempt_from_json(attempt) for attempt in attempts], ordinal)
+    for key, ordinal, last, tail, attempts in saved:
+        newest = None if last is None else _event(last)
+        partition = Partition([_attempt_from_json(attempt) for attempt in attempts], ordinal, newest)
         yield tuple(key), Open(partition, [tuple(row) for row in tail])
 
 
@@ -100,7 +100,7 @@ def _event(saved: list[int]) -> tuple[int, int, int]:
 
 
 def _registers(saved: list[Any]) -> tuple[Any, ...]:
-    return tuple(UNSET if value == [] else value for value in saved)
+    return tuple(tuple(value) if isinstance(value, list) else value for value in saved)
 
 
 def _trace_to_json(trace: Trace | None) -> list[Any]:

@@ -61,7 +61,31 @@ class Repetition:
     at: int
 
 
-Pattern = Variable | Concatenation | Alternation | Repetition
+@dataclass(frozen=True, slots=True)
+class Permutation:
+    """PERMUTE: all parts, in any order; the order that comes first by the parts' numbers is preferred."""
+
+    parts: tuple["Pattern", ...]
+    at: int
+
+
+@dataclass(frozen=True, slots=True)
+class Exclusion:
+    """`{- body -}`: its rows belong to the match, but ALL ROWS PER MATCH leaves them out."""
+
+    body: "Pattern"
+    at: int
+
+
+@dataclass(frozen=True, slots=True)
+class Anchor:
+    """No row; true before the partition's first row (`^`) or after its last (`$`)."""
+
+    is_start: bool
+    at: int
+
+
+Pattern = Variable | Concatenation | Alternation | Repetition | Permutation | Exclusion | Anchor
 
 
 class SkipMode(Enum):
@@ -89,30 +113,105 @@ class Named:
     value: Scalar
 
 
+class RowsPerMatch(Enum):
+    """What each match puts out."""
+
+    ONE = "ONE ROW PER MATCH"
+    ALL_SHOW_EMPTY = "ALL ROWS PER MATCH SHOW EMPTY MATCHES"
+    ALL_OMIT_EMPTY = "ALL ROWS PER MATCH OMIT EMPTY MATCHES"
+    ALL_WITH_UNMATCHED = "ALL ROWS PER MATCH WITH UNMATCHED ROWS"
+
+
 @dataclass(frozen=True, slots=True)
-class Query:
-    """One SELECT * FROM type MATCH_RECOGNIZE (...).
+class Ordering:
+    """One column of ORDER BY; `nulls_first` None: not said."""
+
+    column: Identifier
+    is_descending: bool = False
+    nulls_first: bool | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Subset:
+    """SUBSET name = (members): a variable that stands for any of its members."""
+
+    name: Identifier
+    members: tuple[Identifier, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Clause:
+    """What stands in the parentheses of one MATCH_RECOGNIZE (...).
 
     Attributes:
         passage: The SQL, for errors.
-        source_type: The event type after FROM.
-        where: The filter of a FROM sub-query.
+        at: Where MATCH_RECOGNIZE stands.
         partition_by: In order; may be empty.
+        order_by: In order; may be empty.
         measures: In order.
+        rows: What each match puts out.
+        rows_at: Where that is said.
         skip: AFTER MATCH SKIP.
         pattern: The tree of PATTERN.
         pattern_at: Where PATTERN stands.
         within: The expression after WITHIN, of type duration.
+        subsets: In order.
         defines: In order; variables of the pattern that have none are always true.
     """
 
     passage: Passage
-    source_type: Identifier
-    where: Scalar | None
+    at: int
     partition_by: tuple[Identifier, ...]
+    order_by: tuple[Ordering, ...]
     measures: tuple[Named, ...]
+    rows: RowsPerMatch
+    rows_at: int
     skip: Skip
     pattern: Pattern
     pattern_at: int
     within: Scalar | None
+    subsets: tuple[Subset, ...]
     defines: tuple[Named, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Item:
+    """One column of an arm's SELECT list: its name, where that stands, and its value."""
+
+    column: str
+    at: int
+    value: Scalar
+
+
+@dataclass(frozen=True, slots=True)
+class Arm:
+    """One SELECT of FROM.
+
+    Attributes:
+        source_type: The event type after FROM.
+        situation_of: The rule in FROM situation('rule').
+        has_star: Whether all columns of the type are taken; it is so where FROM names a type alone.
+        items: The other columns, in order.
+        where: The filter.
+    """
+
+    source_type: Identifier
+    situation_of: str | None
+    has_star: bool
+    items: tuple[Item, ...]
+    where: Scalar | None
+
+
+@dataclass(frozen=True, slots=True)
+class Query:
+    """One SELECT * FROM input MATCH_RECOGNIZE (...).
+
+    Attributes:
+        passage: The SQL, for errors.
+        arms: What FROM names, or unites by name; at least one.
+        clause: The MATCH_RECOGNIZE.
+    """
+
+    passage: Passage
+    arms: tuple[Arm, ...]
+    clause: Clause

@@ -7,14 +7,16 @@ its complaints into errors that point at the file.
 import re
 from dataclasses import dataclass
 
+from sqlglot.dialects.dialect import Dialect
 from sqlglot.errors import TokenError
 from sqlglot.tokenizer_core import Token, TokenType
-from sqlglot.tokens import Tokenizer
 
 from patterns.text import Passage
 
 _IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_$]*")
 _CLOSED = re.compile(r"'(?:[^']|'')*'|\"(?:[^\"]|\"\")*\"|--[^\n]*|/\*.*?\*/", re.DOTALL)
+_BLANK = re.compile(r"[^\n]")
+_PATTERN = re.compile(r"\bPATTERN\s*\(", re.IGNORECASE)
 _OPENING = re.compile(r"'|\"|/\*")
 
 
@@ -60,15 +62,22 @@ class Word:
         return self.token.text if self.token is not None and self.is_quoted else self.text
 
 
-def tokenise(passage: Passage) -> list[Word]:
+def tokenise(passage: Passage, dialect: Dialect | None = None, skips_patterns: bool = False) -> list[Word]:
     """The words of the SQL, comments left out.
+
+    Args:
+        passage: The SQL.
+        dialect: Whose words; None: sqlglot's own.
+        skips_patterns: Whether to leave out what stands in PATTERN (...), which need not be SQL.
 
     Raises:
         RuleError: A string, a quoted name or a comment is not closed, or a character starts no word.
     """
-    _check_closed(passage)
+    blanked = _CLOSED.sub(lambda found: _BLANK.sub(" ", found[0]), passage.text)
+    _check_closed(passage, blanked)
+    text = _without_patterns(passage.text, blanked) if skips_patterns else passage.text
     try:
-        tokens = Tokenizer().tokenize(passage.text)
+        tokens = (dialect or Dialect.get_or_raise(None)).tokenize(text)
     except TokenError as error:
         raise passage.error(f"not SQL: {error}", 0) from error
     return [word for token in tokens for word in _words(token, passage.text)]
@@ -90,8 +99,18 @@ def _words(token: Token, text: str) -> list[Word]:
     ]
 
 
-def _check_closed(passage: Passage) -> None:
-    blanked = _CLOSED.sub(lambda found: " " * len(found[0]), passage.text)
+def _without_patterns(text: str, blanked: str) -> str:
+    for found in _PATTERN.finditer(blanked):
+        depth = 0
+        for at in range(found.end() - 1, len(blanked)):
+            depth += (blanked[at] == "(") - (blanked[at] == ")")
+            if depth == 0:
+                text = text[: found.end()] + _BLANK.sub(" ", text[found.end() : at]) + text[at:]
+                break
+    return text
+
+
+def _check_closed(passage: Passage, blanked: str) -> None:
     opening = _OPENING.search(blanked)
     if opening is not None:
         what = {"'": "string", '"': "quoted name", "/*": "comment"}[opening[0]]

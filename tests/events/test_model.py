@@ -145,10 +145,14 @@ UNITS = {
     "width": "px",
     "height": "px",
     "fps": "1/s",
-    **dict.fromkeys(["x", "y", "x1", "y1", "x2", "y2", "_entry", "_exit"], "px"),
+    **dict.fromkeys(["x", "y", "x1", "y1", "x2", "y2", "dx", "dy", "_entry", "_exit"], "px"),
     **dict.fromkeys(["vx", "vy"], "px/s"),
-    **dict.fromkeys(["confidence", "_share_max"], "0 "),
+    **dict.fromkeys(["confidence", "_share", "_share_max"], "0 "),
+    "_m": ", m;",
     "_hash": "SHA-256",
+    "_px_s": "px/s",
+    "_s": "s",
+    "alignment": "-1 to 1",
 }
 
 

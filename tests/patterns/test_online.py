@@ -69,7 +69,7 @@ def records(draw: st.DrawFn) -> list[Record]:
     return result
 
 
-def _pieces(rows: list[Record], cuts: list[int]) -> list[list[Record]]:
+def pieces(rows: list[Record], cuts: list[int]) -> list[list[Record]]:
     bounds = [0, *sorted(cut % (len(rows) + 1) for cut in cuts), len(rows)]
     return [rows[begin:end] for begin, end in pairwise(bounds)]
 
@@ -101,7 +101,7 @@ def test_any_split_restart_and_order_of_arrival_gives_what_batch_gives(
     arriving = sorted(rows, key=lambda row: row["us"] + row["delay"]) if is_shuffled else rows
     bound = bind(RULES[name], SCHEMAS)
     wanted = match(bound, letter_rows(rows))
-    assert _online(bound, _pieces(arriving, cuts), restarts) == wanted
+    assert _online(bound, pieces(arriving, cuts), restarts) == wanted
 
 
 def _run(more: str = "time: {lateness: 2 s}", **arguments: str) -> RuleRun:

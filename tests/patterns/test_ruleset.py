@@ -1,0 +1,125 @@
+"""A set of rules: for each rule what it finds alone, whoever comes, goes or fails."""
+
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from patterns import BoundRule, Match, Outcome, PatternError, RuleRun, RuleSetRun, SkipError, bind
+from patterns.ruleset import Outcomes, merged
+from tests.patterns.samples import SCHEMAS, define_letters, letter_rows, letter_rule, letters
+from tests.patterns.test_online import RULES, Record, pieces, records
+
+
+def _named(name: str) -> BoundRule:
+    rule = RULES[name]
+    return bind(rule.model_copy(update={"rule": name.replace(" ", "-")}), SCHEMAS)
+
+
+BOUNDS = [_named(name) for name in RULES]
+FAILING = bind(letter_rule("A B? C", define_letters("ABC"), skip="TO LAST B", more="time: {lateness: 4 us}"), SCHEMAS)
+
+
+def _alone(bound: BoundRule, parts: list[list[Record]]) -> Outcome:
+    run = RuleRun(bound)
+    whole = Outcome()
+    for part in parts:
+        whole += run.push(letter_rows(part))
+    return whole + run.finish()
+
+
+@settings(max_examples=60, deadline=None)
+@given(rows=records(), cuts=st.lists(st.integers(0, 100), max_size=5), restarts=st.sets(st.integers(0, 5)))
+def test_a_set_gives_for_each_rule_what_it_gives_alone(rows: list[Record], cuts: list[int], restarts: set[int]) -> None:
+    arriving = sorted(rows, key=lambda row: row["us"] + row["delay"])
+    parts = pieces(arriving, cuts)
+    group = RuleSetRun(BOUNDS)
+    steps: list[Outcomes] = []
+    for index, part in enumerate(parts):
+        steps.append(group.push(letter_rows(part)))
+        if index in restarts:
+            states = {name: group.state(name) for name in group.rules}
+            group = RuleSetRun()
+            for bound in BOUNDS:
+                group.add(bound, states[bound.rule.rule])
+    steps.append(group.finish())
+    assert group.failures == {}
+    found = merged(steps)
+    for bound in BOUNDS:
+        assert found.get(bound.rule.rule, Outcome()) == _alone(bound, parts), bound.rule.rule
+
+
+@settings(max_examples=30, deadline=None)
+@given(rows=records(), came=st.integers(0, 3), went=st.integers(0, 3))
+def test_rules_that_come_and_go_change_nothing_for_the_others(rows: list[Record], came: int, went: int) -> None:
+    parts = pieces(rows, [len(rows) // 4, len(rows) // 2, len(rows) * 3 // 4])
+    stays, comes, goes = BOUNDS[0], BOUNDS[1], BOUNDS[2]
+    group = RuleSetRun([stays, goes])
+    steps = []
+    for index, part in enumerate(parts):
+        if index == came:
+            group.add(comes)
+        if index == went:
+            group.remove(goes.rule.rule)
+        steps.append(group.push(letter_rows(part)))
+    found = merged([*steps, group.finish()])
+    assert found.get(stays.rule.rule, Outcome()) == _alone(stays, parts)
+    assert found.get(comes.rule.rule, Outcome()) == _alone(comes, parts[came:])
+    run = RuleRun(goes)
+    alone = [match for part in parts[:went] for match in run.push(letter_rows(part)).matches]
+    assert list(found.get(goes.rule.rule, Outcome()).matches) == alone
+
+
+def _matches(outcomes: Outcomes, bound: BoundRule) -> tuple[Match, ...]:
+    return outcomes.get(bound.rule.rule, Outcome()).matches
+
+
+def test_a_rule_that_raises_is_set_aside_and_named_and_the_others_go_on() -> None:
+    group = RuleSetRun([FAILING, BOUNDS[0]])
+    found = merged([group.push(letters("aabac")), group.push(letters("abac")), group.finish()])
+    assert list(group.failures) == ["sample"]
+    assert isinstance(group.failures["sample"], SkipError)
+    assert group.rules == (BOUNDS[0].rule.rule,)
+    assert len(_matches(found, BOUNDS[0])) > 0
+    group.add(FAILING)
+    assert group.failures == {}, "a rule that comes back is tried anew"
+
+
+def test_a_rule_that_comes_later_knows_the_frame_sizes() -> None:
+    sizes: dict[str, Any] = {}
+    for late in (False, True):
+        group = RuleSetRun([] if late else BOUNDS[:1])
+        group.set_frame_size("cam-01", 640, 480)
+        if late:
+            group.add(BOUNDS[0])
+        sizes[str(late)] = group.state(BOUNDS[0].rule.rule)
+    assert sizes["False"] == sizes["True"]
+
+
+def test_two_rules_of_one_name_need_another_name_for_one() -> None:
+    group = RuleSetRun(BOUNDS[:1])
+    with pytest.raises(PatternError, match="has a rule greedy already"):
+        group.add(BOUNDS[0])
+    group.add(BOUNDS[0], name="greedy@2")
+    found = merged([group.push(letters("aab")), group.finish()])
+    assert found["greedy"] == found["greedy@2"]
+
+
+def test_a_rule_that_is_not_there_is_named_with_those_that_are() -> None:
+    group = RuleSetRun(BOUNDS[:1])
+    with pytest.raises(PatternError, match="no rule other; there are: greedy"):
+        group.remove("other")
+    group.remove("greedy")
+    assert group.rules == ()
+    assert group.push(letters("aab")) == {}
+
+
+def test_status_says_how_a_rule_stands() -> None:
+    ticks = iter(range(100))
+    group = RuleSetRun(BOUNDS[:1], clock=lambda: float(next(ticks)))
+    group.push(letters("ab", step_s=0.000001))
+    status = group.status("greedy")
+    assert (status.counts.rows, status.rows_waiting, status.partitions_open) == (2, 2, 0)
+    assert status.watermark is not None
+    assert status.spent_s > 0
