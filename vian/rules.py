@@ -82,7 +82,18 @@ def file_text(rule: Rule) -> str:
     """The rule as a rule file: the file's own text, or what the rule says where it was changed after loading."""
     if rule.path is not None:
         return rule.path.read_text(encoding="utf-8")
-    return yaml.safe_dump(_plain(rule.model_dump(mode="python")), sort_keys=False, allow_unicode=True)
+    return yaml.dump(_plain(rule.model_dump(mode="python")), Dumper=_Dumper, sort_keys=False, allow_unicode=True)
+
+
+class _Dumper(yaml.SafeDumper):
+    """Writes texts of several lines as blocks: a rule's SQL stays readable."""
+
+
+def _text(dumper: yaml.SafeDumper, text: str) -> yaml.ScalarNode:
+    return dumper.represent_scalar("tag:yaml.org,2002:str", text, style="|" if "\n" in text else None)
+
+
+_Dumper.add_representer(str, _text)
 
 
 def deploy_all(log: Log, station: str, rules: Sequence[Rule]) -> list[Rule]:
