@@ -25,11 +25,8 @@ def entered(log: Log) -> Log:
     tried = rule(**MANY)
     deploy(log, STATION, [tried], {tried.rule: file_text(tried)}, T0)
     add_video(log, "gate")
-    say(
-        log,
-        "gate",
-        *(point(track, second, 20 + 10 * second * (track == 7)) for second in range(16) for track in (7, 8)),
-    )
+    ways = [(track, second, 20 + 5 * second * (track == 7)) for second in range(16) for track in (7, 8)]
+    say(log, "gate", *(point(*each) for each in ways))
     end(log, "gate")
     Processor(log, STATION, [tried]).catch_up()
     return log
