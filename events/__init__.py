@@ -27,6 +27,7 @@ from events.motion import ActivityInterval, TrackEnded, TrackEndedV1, TrackPoint
 from events.names import Source, Station, StreamName, TypeName, source_name, station_name, type_name
 from events.plates import PlateRead
 from events.proof import CheckpointSigned, LossRecorded
+from events.relations import GroupSeen, Occupancy, PairDistance, Tally
 from events.segment import (
     GENESIS,
     Draft,
@@ -41,7 +42,15 @@ from events.segment import (
     header_bytes,
     parse_header,
 )
-from events.situations import MatchedRange, RuleDeployed, SituationDetected
+from events.situations import (
+    MatchedRange,
+    RuleDeployed,
+    RuleDeployedV1,
+    RuleMissed,
+    RuleRetired,
+    SituationDetected,
+    SituationShadowed,
+)
 from events.stations import SyncPlanned
 from events.work import ProcessFailed, ProcessFinished, ProcessProgressed, ProcessStarted
 
@@ -61,12 +70,15 @@ __all__ = [
     "EventType",
     "Finite32",
     "Float32",
+    "GroupSeen",
     "Header",
     "InvalidEvent",
     "InvalidName",
     "JsonText",
     "LossRecorded",
     "MatchedRange",
+    "Occupancy",
+    "PairDistance",
     "Part",
     "PersonalBytes",
     "PersonalJson",
@@ -79,15 +91,20 @@ __all__ = [
     "ProcessStarted",
     "Producer",
     "RuleDeployed",
+    "RuleDeployedV1",
+    "RuleMissed",
+    "RuleRetired",
     "SceneChanged",
     "Segment",
     "Sequence",
     "Share32",
     "SituationDetected",
+    "SituationShadowed",
     "Source",
     "Station",
     "StreamName",
     "SyncPlanned",
+    "Tally",
     "TrackEnded",
     "TrackEndedV1",
     "TrackPoint",

@@ -20,7 +20,8 @@ from events.model import EventType
 from events.motion import ActivityInterval, TrackEnded, TrackPoint
 from events.plates import PlateRead
 from events.proof import CheckpointSigned, LossRecorded
-from events.situations import RuleDeployed, SituationDetected
+from events.relations import GroupSeen, Occupancy, PairDistance, Tally
+from events.situations import RuleDeployed, RuleMissed, RuleRetired, SituationDetected, SituationShadowed
 from events.stations import SyncPlanned
 from events.work import ProcessFailed, ProcessFinished, ProcessProgressed, ProcessStarted
 
@@ -39,10 +40,17 @@ SHIPPED: tuple[type[EventType], ...] = (
     CheckpointSigned,
     LossRecorded,
     PlateRead,
+    PairDistance,
+    Occupancy,
+    GroupSeen,
+    Tally,
     ZoneDefined,
     ZoneRemoved,
     CameraCalibrated,
     SceneChanged,
+    SituationShadowed,
+    RuleRetired,
+    RuleMissed,
 )
 ENTRY_POINT_GROUP = "vian.events"
 

@@ -9,10 +9,11 @@ from dataclasses import dataclass
 from typing import Literal
 
 from patterns.expressions import Expr, Kind
-from patterns.geometry import FrameSize
+from patterns.inputs import Input
 from patterns.limits import Limits
 from patterns.program import Instruction, Tables
 from patterns.rule import Rule
+from patterns.site import Site
 from patterns.syntax import SkipMode
 
 How = Literal["first", "last", "rows", "values", "sum", "min", "max", "list"]
@@ -74,13 +75,12 @@ class BoundRule:
 
     Attributes:
         rule: The rule.
-        type: The event type after FROM.
+        inputs: The arms of FROM.
         variables: Pattern variables by index.
         program: The pattern.
         tables: The same, as the matcher takes it.
         columns: The columns read, with their types; `source` among them.
         keys: The partition columns.
-        where: The filter of FROM.
         predicates: Row-local conditions, each once.
         slots: Row-local values that guards and registers read.
         registers: What a match remembers.
@@ -93,18 +93,17 @@ class BoundRule:
         skip_variables: Indices of the variables that SKIP TO means; several, if it names a SUBSET.
         reach: How many rows before the row at hand any expression looks at.
         looks_back: Whether a match's first rows look at rows before the match.
-        frame_sizes: Known when bound, (width, height) in pixels.
+        site: What is known of the cameras when bound; a run goes on from a copy.
         limits: What the rule may use.
     """
 
     rule: Rule
-    type: str
+    inputs: tuple[Input, ...]
     variables: tuple[str, ...]
     program: tuple[Instruction, ...]
     tables: Tables
     columns: Mapping[str, Kind]
     keys: tuple[str, ...]
-    where: Expr | None
     predicates: tuple[Expr, ...]
     slots: tuple[Expr, ...]
     registers: tuple[Register, ...]
@@ -117,5 +116,15 @@ class BoundRule:
     skip_variables: tuple[int, ...]
     reach: int
     looks_back: bool
-    frame_sizes: Mapping[str, FrameSize]
+    site: Site
     limits: Limits
+
+    @property
+    def types(self) -> frozenset[str]:
+        """The event types that the rule reads."""
+        return frozenset(each.type for each in self.inputs)
+
+    @property
+    def plain_input(self) -> Input | None:
+        """The only arm, where a row is the event itself; None where rows are computed, or come from several arms."""
+        return self.inputs[0] if len(self.inputs) == 1 and self.inputs[0].is_plain else None

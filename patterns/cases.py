@@ -10,6 +10,7 @@ import csv
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
+from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
@@ -20,9 +21,12 @@ from patterns.columns import arrow_type
 from patterns.durations import parse_duration
 from patterns.errors import FrameSizeUnknown, PatternError, Place, RuleError
 from patterns.expressions import Kind
+from patterns.ground import Calibration
 from patterns.rule import Case, Rule
 from patterns.running import match
+from patterns.site import Shape, Site
 from patterns.situations import Match
+from patterns.text import Passage
 
 _FLOAT_TOLERANCE = 1e-9
 
@@ -58,7 +62,7 @@ def run_tests(rule: Rule, schemas: Mapping[str, pa.Schema]) -> list[TestResult]:
 
 
 def _result(rule: Rule, schemas: Mapping[str, pa.Schema], index: int, case: Case) -> TestResult:
-    bound = bind(rule, schemas, case.frames)
+    bound = bind(rule, schemas, site=case_site(case))
     name = case.name or (case.given if isinstance(case.given, str) else f"test {index + 1}")
     try:
         rows = case_rows(bound, index)
@@ -78,6 +82,16 @@ def _result(rule: Rule, schemas: Mapping[str, pa.Schema], index: int, case: Case
     return TestResult(rule.rule, name, passed=not difference, difference=difference, place=place)
 
 
+def case_site(case: Case) -> Site:
+    """What the test says of the cameras."""
+    shapes: dict[str, list[Shape]] = {name: [zone] for name, zone in case.zones.items()}
+    shapes |= {name: [line] for name, line in case.lines.items()}
+    calibrations = {
+        source: Calibration(matrix, case.frames.get(source, (1, 1))) for source, matrix in case.calibrations.items()
+    }
+    return Site.of(case.frames, shapes, calibrations)
+
+
 def case_rows(bound: BoundRule, index: int) -> pa.Table:
     """The rows of the rule's test of this index.
 
@@ -85,23 +99,46 @@ def case_rows(bound: BoundRule, index: int) -> pa.Table:
         RuleError: The CSV file is not there, or a value is not of its column's type.
     """
     rule = bound.rule
-    given = rule.tests[index].given
-    records: Iterable[Mapping[str, Any]] = _csv_records(rule, index, given) if isinstance(given, str) else given
-    kinds = {"time": Kind.TIME, "sequence": Kind.INT, "station": Kind.STRING, "type": Kind.STRING, **bound.columns}
-    sources = {shape.source for shape in (*rule.zones.values(), *rule.lines.values())}
+    case = rule.tests[index]
+    passage = rule.passage("tests", index, "given")
+    records: Iterable[Mapping[str, Any]] = (
+        csv_records(rule.folder / case.given, passage) if isinstance(case.given, str) else case.given
+    )
+    kinds = _kinds(bound, passage)
+    shapes = (*rule.zones.values(), *rule.lines.values(), *case.zones.values(), *case.lines.values())
+    sources = {shape.source for shape in shapes} | set(case.calibrations)
     source = sources.pop() if len(sources) == 1 else "test"
     columns: dict[str, list[Any]] = {name: [] for name in kinds}
+    only_type = next(iter(bound.types)) if len(bound.types) == 1 else None
     for number, record in enumerate(records, start=1):
-        defaults = {"sequence": number, "station": "test", "source": source, "type": bound.type}
+        if only_type is None and record.get("type") is None:
+            types = ", ".join(sorted(bound.types))
+            raise passage.error(f"row {number}: the rule reads several types, so a row says its `type`: {types}", 0)
+        defaults = {"sequence": number, "station": "test", "source": source, "type": only_type}
         for name, kind in kinds.items():
             value = record.get(name)
             try:
-                columns[name].append(defaults.get(name) if value is None else _typed(value, kind))
+                columns[name].append(defaults.get(name) if value is None else typed(value, kind))
             except ValueError as error:
                 message = f"row {number}, column {name}: {error}"
-                raise rule.passage("tests", index, "given").error(message, 0) from error
-    arrays = {name: pa.array(values, _column_type(kinds[name])) for name, values in columns.items()}
+                raise passage.error(message, 0) from error
+    arrays = {name: pa.array(values, column_type(kinds[name])) for name, values in columns.items()}
     return pa.table(arrays)
+
+
+def _kinds(bound: BoundRule, passage: Passage) -> dict[str, Kind]:
+    """The columns of a test's rows: the envelope's, and those that any arm of FROM reads."""
+    kinds = {"time": Kind.TIME, "sequence": Kind.INT, "station": Kind.STRING, "source": Kind.STRING,
+             "type": Kind.STRING}  # fmt: skip
+    kinds |= {"rule": Kind.STRING} if any(each.situation_of for each in bound.inputs) else {}
+    for name, kind in (pair for each in bound.inputs for pair in each.reads.items()):
+        known = kinds.setdefault(name, kind)
+        if {known, kind} == {Kind.INT, Kind.FLOAT}:
+            kinds[name] = Kind.FLOAT
+        elif known is not kind:
+            message = f"column {name} is a {known.value} in one type and a {kind.value} in another"
+            raise passage.error(message, 0)
+    return kinds
 
 
 def compared(wanted: Sequence[Mapping[str, Any]], found: Sequence[Match]) -> str:
@@ -115,15 +152,15 @@ def compared(wanted: Sequence[Mapping[str, Any]], found: Sequence[Match]) -> str
     for index in range(max(len(wanted), len(found))):
         want = wanted[index] if index < len(wanted) else None
         have = _said(found[index]) if index < len(found) else None
-        if want is not None and have is not None and _agrees(want, have):
-            lines.append(f"  {_shown(want)}")
+        if want is not None and have is not None and agrees(want, have):
+            lines.append(f"  {shown(want)}")
             continue
         is_equal = False
         if want is not None:
-            lines.append(f"- {_shown(want)}")
+            lines.append(f"- {shown(want)}")
         if have is not None:
             names = want or found[index].measures or found[index].partition
-            lines.append(f"+ {_shown({name: have.get(name, '(no such value)') for name in names})}")
+            lines.append(f"+ {shown({name: have.get(name, '(no such value)') for name in names})}")
     if wanted and not found:
         lines.append("+ (no situation)")
     if found and not wanted:
@@ -135,7 +172,8 @@ def _said(found: Match) -> dict[str, Any]:
     return {"title": found.title, **found.partition, **found.measures}
 
 
-def _agrees(want: Mapping[str, Any], have: Mapping[str, Any]) -> bool:
+def agrees(want: Mapping[str, Any], have: Mapping[str, Any]) -> bool:
+    """Whether all that is wanted is so; what is not named is not compared."""
     return all(name in have and _is_same(value, have[name]) for name, value in want.items())
 
 
@@ -149,7 +187,8 @@ def _is_same(want: Any, have: Any) -> bool:
     return bool(want == have)
 
 
-def _shown(values: Mapping[str, Any]) -> str:
+def shown(values: Mapping[str, Any]) -> str:
+    """The values on one line, as a test's file writes them."""
     return ", ".join(f"{name}: {_plain(value)}" for name, value in values.items()) or "(a situation)"
 
 
@@ -159,17 +198,21 @@ def _plain(value: Any) -> str:
     return f"{value.total_seconds():g} s" if isinstance(value, timedelta) else str(value)
 
 
-def _csv_records(rule: Rule, index: int, name: str) -> Iterable[Mapping[str, Any]]:
+def csv_records(path: Path, passage: Passage) -> list[Mapping[str, Any]]:
+    """The rows of a CSV file, empty cells left out.
+
+    Raises:
+        RuleError: The file cannot be read; it points at the passage that names it.
+    """
     try:
-        with (rule.folder / name).open(newline="", encoding="utf-8") as file:
+        with path.open(newline="", encoding="utf-8") as file:
             records = list(csv.DictReader(file))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        passage = rule.passage("tests", index, "given")
-        raise passage.error(f"cannot read {rule.folder / name}: {error}", 0) from error
+        raise passage.error(f"cannot read {path}: {error}", 0) from error
     return [{key: value for key, value in record.items() if value != ""} for record in records]
 
 
-def _typed(value: Any, kind: Kind) -> Any:
+def typed(value: Any, kind: Kind) -> Any:
     """A cell of a test as a value of this type.
 
     Raises:
@@ -194,5 +237,6 @@ def _time(value: Any) -> datetime:
     return time.replace(tzinfo=UTC) if time.tzinfo is None else time.astimezone(UTC)
 
 
-def _column_type(kind: Kind) -> Any:
+def column_type(kind: Kind) -> Any:
+    """The Arrow type in which a test's rows hold values of this kind."""
     return {Kind.TIME: pa.timestamp("us", "UTC"), Kind.DURATION: pa.duration("us")}.get(kind) or arrow_type(kind)

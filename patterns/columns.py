@@ -6,7 +6,7 @@ negative number and a point that is not finite give NULL: a condition over them
 is not true, and no row can stop a rule.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -15,35 +15,14 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-from patterns.errors import FrameSizeUnknown
-from patterns.expressions import Call, Column, Const, Crosses, Expr, InZone, Kind, Shift
-from patterns.geometry import FrameSize, Line, Zone, crosses_line, in_polygon
+from patterns.expressions import Call, Column, Const, Crosses, Expr, InZone, Kind, OneOf, OnGround, Shift
+from patterns.geometry import Line, Zone
+from patterns.places import Places
 
 _TYPES = {
     Kind.BOOL: pa.bool_(), Kind.INT: pa.int64(), Kind.FLOAT: pa.float64(), Kind.STRING: pa.string(),
     Kind.TIME: pa.int64(), Kind.DURATION: pa.int64(), Kind.NULL: pa.bool_(),
 }  # fmt: skip
-
-
-@dataclass(frozen=True, slots=True)
-class Places:
-    """The zones and lines of a rule, and the frame sizes known so far, (width, height) in pixels."""
-
-    zones: Mapping[str, Zone]
-    lines: Mapping[str, Line]
-    frame_sizes: Mapping[str, FrameSize]
-
-    def frame_size(self, shape: Zone | Line, name: str) -> FrameSize | None:
-        """The frame size that scales the shape; None for one in pixels.
-
-        Raises:
-            FrameSizeUnknown: It is normalised and its source's frame size is not known.
-        """
-        if shape.units == "pixels":
-            return None
-        if shape.source not in self.frame_sizes:
-            raise FrameSizeUnknown(name, shape.source)
-        return self.frame_sizes[shape.source]
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,6 +68,10 @@ class ColumnEvaluator:
             return self._in_zone(expr)
         if isinstance(expr, Crosses):
             return self._crosses(expr)
+        if isinstance(expr, OnGround):
+            return self._on_ground(expr)
+        if isinstance(expr, OneOf):
+            return self._one_of(expr)
         assert isinstance(expr, Call), f"not a row-local expression: {expr}"
         return _OPERATORS[expr.op](*[self.column(operand) for operand in expr.operands])
 
@@ -99,33 +82,70 @@ class ColumnEvaluator:
         return self.column(expr.operand).take(pa.array(indices, mask=has_none))
 
     def _in_zone(self, expr: InZone) -> Any:
-        zone = self.places.zones[expr.zone]
+        answers = self._answers(expr.operands)
+        for zone in self.places.zones_named(expr.zone):
 
-        def inside(x: Any, y: Any) -> NDArray[np.bool_]:
-            return in_polygon(zone.polygon_px(self.places.frame_size(zone, expr.zone)), x, y)
+            def inside(x: Any, y: Any, zone: Zone = zone) -> NDArray[np.bool_]:
+                return self.places.inside(zone, expr.zone, x, y)
 
-        return self._of_source(zone.source, expr.operands, inside)
+            answers.ask(zone.source, inside)
+        return answers.column(pa.bool_())
 
     def _crosses(self, expr: Crosses) -> Any:
-        line = self.places.lines[expr.line]
+        answers = self._answers(expr.operands)
+        for line in self.places.lines_named(expr.line):
 
-        def crossed(x0: Any, y0: Any, x1: Any, y1: Any) -> NDArray[np.bool_]:
-            points = line.points_px(self.places.frame_size(line, expr.line))
-            return crosses_line(points, (x0, y0, x1, y1), expr.direction)
+            def crossed(x0: Any, y0: Any, x1: Any, y1: Any, line: Line = line) -> NDArray[np.bool_]:
+                return self.places.crossed(line, expr.line, (x0, y0, x1, y1), expr.direction)
 
-        return self._of_source(line.source, expr.operands, crossed)
+            answers.ask(line.source, crossed)
+        return answers.column(pa.bool_())
 
-    def _of_source(self, source: str, operands: tuple[Expr, ...], ask: Callable[..., NDArray[np.bool_]]) -> Any:
-        """What `ask` says of the rows of this source; false elsewhere, NULL where a coordinate is not finite."""
-        is_here = np.asarray(pc.fill_null(pc.equal(self.column(operands[0]), source), False))
-        result = np.zeros(len(is_here), dtype=bool)
-        if not is_here.any():
-            return pa.array(result)
-        values = [_floats(self.column(operand)) for operand in operands[1:]]
-        is_unknown = ~np.logical_and.reduce([np.isfinite(value) for value in values])
-        asked = is_here & ~is_unknown
-        result[asked] = ask(*[value[asked] for value in values])
-        return pa.array(result, mask=is_unknown & is_here)
+    def _on_ground(self, expr: OnGround) -> Any:
+        answers = self._answers(expr.operands)
+        answers.is_unknown |= np.asarray(pc.is_null(answers.source))
+        for source in pc.unique(pc.drop_null(answers.source)).to_pylist():
+
+            def ground(*values: Any, source: str = source) -> NDArray[np.float64]:
+                return self.places.on_ground(source, expr.what, list(values))
+
+            answers.ask(source, ground)
+        column = answers.column(pa.float64())
+        return pc.if_else(pc.is_finite(column), column, pa.scalar(None, pa.float64()))
+
+    def _one_of(self, expr: OneOf) -> Any:
+        column = self.column(expr.operands[0])
+        values = pa.array(list(expr.values), column.type)
+        return pc.if_else(pc.is_valid(column), pc.is_in(column, value_set=values), pa.scalar(None, pa.bool_()))
+
+    def _answers(self, operands: tuple[Expr, ...]) -> "_Answers":
+        source, *numbers = (self.column(operand) for operand in operands)
+        values = [_floats(number) for number in numbers]
+        is_finite = np.logical_and.reduce([np.isfinite(value) for value in values])
+        return _Answers(source, values, is_finite, np.zeros(len(is_finite)), np.zeros(len(is_finite), dtype=bool))
+
+
+@dataclass(slots=True)
+class _Answers:
+    """What is asked of each source's rows: 0 where nothing is asked, NULL where a number is not finite."""
+
+    source: Any
+    values: list[NDArray[np.float64]]
+    is_finite: NDArray[np.bool_]
+    answers: NDArray[np.float64]
+    is_unknown: NDArray[np.bool_]
+
+    def ask(self, source: str, question: Callable[..., NDArray[Any]]) -> None:
+        """Asks about the rows of this source."""
+        is_here = np.asarray(pc.fill_null(pc.equal(self.source, source), False))
+        self.is_unknown |= is_here & ~self.is_finite
+        asked = is_here & self.is_finite
+        if asked.any():
+            self.answers[asked] = question(*[value[asked] for value in self.values])
+
+    def column(self, kind: Any) -> Any:
+        """The answers as a column of this Arrow type."""
+        return pa.array(self.answers, mask=self.is_unknown, from_pandas=False).cast(kind)
 
 
 def arrow_type(kind: Kind) -> Any:

@@ -12,6 +12,7 @@ from enum import Enum
 from typing import Literal
 
 from patterns.geometry import Direction
+from patterns.ground import GroundValue
 
 Value = bool | int | float | str | None
 Which = Literal["first", "last"]
@@ -134,12 +135,33 @@ class Crosses:
     kind: Kind = Kind.BOOL
 
 
-Expr = Const | Column | Classifier | Shift | Reference | Aggregate | Call | InZone | Crosses
+@dataclass(frozen=True, slots=True)
+class OnGround:
+    """Where a point lies on the ground (m to the east or north), or how fast it moves there (m/s).
+
+    Operands: the source, then x and y in pixels, and for the speed vx and vy in pixels a second.
+    """
+
+    what: GroundValue
+    operands: tuple["Expr", ...]
+    kind: Kind = Kind.FLOAT
+
+
+@dataclass(frozen=True, slots=True)
+class OneOf:
+    """Whether the operand, the only one, is among the values of a list, none of which is NULL."""
+
+    values: frozenset[bool | int | float | str]
+    operands: tuple["Expr", ...]
+    kind: Kind = Kind.BOOL
+
+
+Expr = Const | Column | Classifier | Shift | Reference | Aggregate | Call | InZone | Crosses | OnGround | OneOf
 
 
 def operands(expr: Expr) -> tuple[Expr, ...]:
     """The expressions directly below this one."""
-    if isinstance(expr, Call | InZone | Crosses):
+    if isinstance(expr, Call | InZone | Crosses | OnGround | OneOf):
         return expr.operands
     if isinstance(expr, Shift | Reference):
         return (expr.operand,)
@@ -157,7 +179,7 @@ def walk(expr: Expr) -> Iterator[Expr]:
 
 def rebuilt(expr: Expr, change: Callable[[Expr], Expr]) -> Expr:
     """The expression with each of its direct operands changed."""
-    if isinstance(expr, Call | InZone | Crosses):
+    if isinstance(expr, Call | InZone | Crosses | OnGround | OneOf):
         return replace(expr, operands=tuple(change(operand) for operand in expr.operands))
     if isinstance(expr, Shift | Reference):
         return replace(expr, operand=change(expr.operand))

@@ -1,4 +1,4 @@
-"""Zones and lines in the image, and the two predicates over them.
+"""Zones and lines in the image or on the ground, and the two predicates over them.
 
 Pixels have their origin at the top left, x to the right and y down. A zone is
 a closed polygon: a point on its border is inside. A line has two sides as seen
@@ -16,7 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 Points = NDArray[np.float64]
 Flags = NDArray[np.bool_]
-Units = Literal["normalised", "pixels"]
+Units = Literal["normalised", "pixels", "metres"]
 Direction = Literal["left_to_right", "right_to_left", "any"]
 DIRECTIONS: tuple[Direction, ...] = ("left_to_right", "right_to_left", "any")
 
@@ -34,9 +34,9 @@ class _Shape(BaseModel):
     units: Units = "normalised"
 
     def scaled(self, points: tuple[Point, ...], frame_size: FrameSize | None) -> Points:
-        """The points in pixels, shape (n, 2), of a frame of this width and height."""
+        """The points in pixels, shape (n, 2), of a frame of this width and height; those in metres stay in metres."""
         array = np.asarray(points, dtype=np.float64)
-        if self.units == "pixels":
+        if self.units != "normalised":
             return array
         if frame_size is None:
             raise ValueError("normalised coordinates need a frame size")
@@ -44,11 +44,11 @@ class _Shape(BaseModel):
 
     def _check_normalised(self, points: tuple[Point, ...]) -> None:
         if self.units == "normalised" and any(not 0 <= value <= 1 for point in points for value in point):
-            raise ValueError("normalised coordinates lie in 0 to 1; write `units: pixels` for pixels")
+            raise ValueError("normalised coordinates lie in 0 to 1; others need `units: pixels` or `units: metres`")
 
 
 class Zone(_Shape):
-    """A polygon in the image of one source; three points or more, not crossing itself."""
+    """A polygon in the image of one source, or on its ground; three points or more, not crossing itself."""
 
     polygon: tuple[Point, ...]
 
@@ -63,14 +63,14 @@ class Zone(_Shape):
         return self
 
     def polygon_px(self, frame_size: FrameSize | None) -> Any:
-        """The prepared shapely polygon in pixels; `frame_size` is (width, height)."""
+        """The prepared shapely polygon in pixels, or in metres if it is in metres; `frame_size` is (width, height)."""
         polygon = shapely.Polygon(self.scaled(self.polygon, frame_size))
         shapely.prepare(polygon)
         return polygon
 
 
 class Line(_Shape):
-    """A straight line between two points in the image of one source."""
+    """A straight line between two points in the image of one source, or on its ground."""
 
     points: tuple[Point, Point]
 
@@ -82,7 +82,7 @@ class Line(_Shape):
         return self
 
     def points_px(self, frame_size: FrameSize | None) -> Points:
-        """The two points in pixels, shape (2, 2); `frame_size` is (width, height)."""
+        """The two points in pixels, shape (2, 2), or in metres; `frame_size` is (width, height)."""
         return self.scaled(self.points, frame_size)
 
 

@@ -11,9 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from patterns.columns import Places
-from patterns.expressions import Call, Const, Crosses, Expr, InZone, Reference, Value
-from patterns.geometry import crosses_line, in_polygon
+from patterns.expressions import Call, Const, Crosses, Expr, InZone, OneOf, OnGround, Reference, Value
+from patterns.places import Places
 from patterns.registers import UNSET, at_offset
 
 Guard = Callable[[Sequence[Any], Sequence[Any]], Any]
@@ -40,6 +39,10 @@ def compile_guard(expr: Expr, slots: dict[Expr, int], registers: dict[Expr, int]
         return _in_zone(expr, below, places)
     if isinstance(expr, Crosses):
         return _crosses(expr, below, places)
+    if isinstance(expr, OnGround):
+        return _on_ground(expr, below, places)
+    if isinstance(expr, OneOf):
+        return _strict(expr.values.__contains__, below)
     assert isinstance(expr, Call), f"nothing holds {expr}"
     if expr.op in _LENIENT:
         return _LENIENT[expr.op](below)
@@ -47,7 +50,7 @@ def compile_guard(expr: Expr, slots: dict[Expr, int], registers: dict[Expr, int]
 
 
 def _operands(expr: Expr) -> tuple[Expr, ...]:
-    assert isinstance(expr, Call | InZone | Crosses), f"nothing holds {expr}"
+    assert isinstance(expr, Call | InZone | Crosses | OnGround | OneOf), f"nothing holds {expr}"
     return expr.operands
 
 
@@ -145,34 +148,45 @@ def _case(below: list[Guard]) -> Guard:
 
 
 def _in_zone(expr: InZone, below: list[Guard], places: Places) -> Guard:
-    zone = places.zones[expr.zone]
-
     def in_zone(row: Sequence[Any], registers: Sequence[Any]) -> Any:
         source, *point = [part(row, registers) for part in below]
-        if source != zone.source:
+        zone = next((each for each in places.zones_named(expr.zone) if each.source == source), None)
+        if zone is None:
             return False
         if not _all_finite(point):
             return None
-        polygon = zone.polygon_px(places.frame_size(zone, expr.zone))
-        return bool(in_polygon(polygon, np.array(point[:1]), np.array(point[1:]))[0])
+        return bool(places.inside(zone, expr.zone, *_arrays(point))[0])
 
     return in_zone
 
 
 def _crosses(expr: Crosses, below: list[Guard], places: Places) -> Guard:
-    line = places.lines[expr.line]
-
     def crosses(row: Sequence[Any], registers: Sequence[Any]) -> Any:
         source, *step = [part(row, registers) for part in below]
-        if source != line.source:
+        line = next((each for each in places.lines_named(expr.line) if each.source == source), None)
+        if line is None:
             return False
         if not _all_finite(step):
             return None
-        points = line.points_px(places.frame_size(line, expr.line))
-        x0, y0, x1, y1 = (np.array([value]) for value in step)
-        return bool(crosses_line(points, (x0, y0, x1, y1), expr.direction)[0])
+        x0, y0, x1, y1 = _arrays(step)
+        return bool(places.crossed(line, expr.line, (x0, y0, x1, y1), expr.direction)[0])
 
     return crosses
+
+
+def _on_ground(expr: OnGround, below: list[Guard], places: Places) -> Guard:
+    def on_ground(row: Sequence[Any], registers: Sequence[Any]) -> Any:
+        source, *values = [part(row, registers) for part in below]
+        if source is None or not _all_finite(values):
+            return None
+        answer = float(places.on_ground(source, expr.what, _arrays(values))[0])
+        return answer if math.isfinite(answer) else None
+
+    return on_ground
+
+
+def _arrays(values: list[Any]) -> list[Any]:
+    return [np.array([float(value)]) for value in values]
 
 
 def _all_finite(values: list[Any]) -> bool:
@@ -262,5 +276,5 @@ _LENIENT: dict[str, Callable[[list[Guard]], Guard]] = {
 
 def constant_value(expr: Expr) -> Value:
     """The value of an expression that no row decides."""
-    value: Value = compile_guard(expr, {}, {}, Places({}, {}, {}))((), ())
+    value: Value = compile_guard(expr, {}, {}, Places({}, {}))((), ())
     return value

@@ -85,6 +85,15 @@ class Keys:
                 keys[:, -1] |= is_null.astype(np.int64) << at
         return self._interned(keys)
 
+    def numbers_of(self, table: Integers, texts: Texts) -> Integers:
+        """The numbers of another's keys, whose texts are these."""
+        keys = table.copy()
+        for at, kind in enumerate(self.kinds):
+            if kind is Kind.STRING and len(keys):
+                lookup = np.array([self.texts.number(text) for text in texts.known] or [0], dtype=np.int64)
+                keys[:, at] = lookup[keys[:, at]]
+        return self._interned(keys)
+
     def key(self, number: int) -> tuple[Any, ...]:
         """The partition columns of a partition."""
         *words, nulls = self.table[number].tolist()

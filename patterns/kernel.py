@@ -23,8 +23,8 @@ R_TIME, R_SEQUENCE, R_STREAM, R_NULLS, R_BITS = 0, 1, 2, 3, 4
 
 # A rule.
 (U_START, U_WITHIN, U_SKIP, U_SKIP_VARIABLES, U_MERGES, U_REGISTERS, U_NULLS, U_UNSET, U_THREADS_MOST,
- U_PAIRS, U_PAIRS_END, U_LOOKS_BACK, U_IS_STRICT) = range(13)  # fmt: skip
-U_WIDTH = 13
+ U_PAIRS, U_PAIRS_END, U_LOOKS_BACK, U_IS_STRICT, U_BASE) = range(14)  # fmt: skip
+U_WIDTH = 14
 SKIP_PAST_LAST_ROW, SKIP_TO_NEXT_ROW, SKIP_TO_FIRST, SKIP_TO_LAST = 0, 1, 2, 3
 
 # A position.
@@ -125,7 +125,8 @@ class Scratch(NamedTuple):
 
 # Guards: a postfix program over words of 64 bits, which are integers or the bits of floats.
 (OP_CONST, OP_NULL, OP_SLOT, OP_REGISTER, OP_AND, OP_OR, OP_NOT, OP_IS_NULL, OP_COALESCE, OP_CASE,
- OP_EQ, OP_NE, OP_LT, OP_LE, OP_GT, OP_GE, OP_ADD, OP_SUB, OP_MUL, OP_DIV, OP_MOD, OP_NEG, OP_ABS, OP_LEAST, OP_GREATEST,
+ OP_EQ, OP_NE, OP_LT, OP_LE, OP_GT, OP_GE, OP_ADD, OP_SUB, OP_MUL, OP_DIV, OP_MOD, OP_NEG, OP_ABS,
+ OP_LEAST, OP_GREATEST,
  OP_F_EQ, OP_F_NE, OP_F_LT, OP_F_LE, OP_F_GT, OP_F_GE, OP_F_ADD, OP_F_SUB, OP_F_MUL, OP_F_DIV, OP_F_NEG, OP_F_ABS,
  OP_F_LEAST, OP_F_GREATEST, OP_FLOAT, OP_SQRT, OP_SCALE, OP_SHRINK, OP_RATIO) = range(44)  # fmt: skip
 STACK = 64
@@ -171,7 +172,7 @@ def _strict(op, at, stack, floats, nulls):
         stack[at] -= stack[at + 1]
     elif op == OP_MUL:
         stack[at] *= stack[at + 1]
-    elif op == OP_DIV or op == OP_MOD:
+    elif OP_DIV <= op <= OP_MOD:
         if stack[at + 1] == 0:
             nulls[at] = 1
         else:
@@ -276,7 +277,7 @@ def _is_true(tables, state, scratch, begin, end, rows, row, slots_at, thread):
             top -= 2
             chosen = top + 1 if nulls[top] == 0 and stack[top] != 0 else top + 2
             stack[top], nulls[top] = stack[chosen], nulls[chosen]
-        elif op == OP_NOT or op == OP_NEG or op == OP_ABS or OP_F_NEG <= op <= OP_F_ABS or OP_FLOAT <= op <= OP_SQRT:
+        elif op == OP_NOT or OP_NEG <= op <= OP_ABS or OP_F_NEG <= op <= OP_F_ABS or OP_FLOAT <= op <= OP_SQRT:
             if nulls[top] == 0:
                 _unary(op, top, stack, floats, nulls)
         else:
@@ -574,7 +575,7 @@ def _advance(tables, state, scratch, rule, attempt, rows, row, ordinal, safe_unt
     """Every thread of the attempt takes the row, or dies; how many there are then, at most one more than `most`."""
     threads, attempts, positions = state.threads, state.attempts, tables.positions
     start = attempts[attempt, A_ORDINAL]
-    registers = tables.rules[rule, U_REGISTERS]
+    registers, base = tables.rules[rule, U_REGISTERS], tables.rules[rule, U_BASE]
     slots_at = R_BITS + words
     thread = attempts[attempt, A_THREAD]
     attempts[attempt, A_THREAD] = -1
@@ -582,7 +583,7 @@ def _advance(tables, state, scratch, rule, attempt, rows, row, ordinal, safe_unt
     while thread >= 0:
         following = threads[thread, T_NEXT]
         if not is_settled and count <= most:
-            position = threads[thread, T_POSITION]
+            position = base + threads[thread, T_POSITION]
             for at in range(tables.follow_at[position], tables.follow_at[position + 1]):
                 target = tables.follow[at]
                 if not _has(rows, row, tables.masks, target, words):
@@ -597,7 +598,7 @@ def _advance(tables, state, scratch, rule, attempt, rows, row, ordinal, safe_unt
                     continue
                 _take_thread(state)
                 variable = positions[target, P_VARIABLE]
-                threads[new, T_POSITION] = target
+                threads[new, T_POSITION] = target - base
                 threads[new, T_TRACE] = _extended(state, threads[thread, T_TRACE], variable, rows, row, ordinal)
                 threads[new, T_NEXT] = -1
                 goes_on = tables.follow_at[target] < tables.follow_at[target + 1]
@@ -613,7 +614,7 @@ def _advance(tables, state, scratch, rule, attempt, rows, row, ordinal, safe_unt
                     if goes_on:
                         ending = _take_thread(state)
                         _copy(state, new, ending, registers)
-                        threads[ending, T_POSITION] = target
+                        threads[ending, T_POSITION] = target - base
                         threads[ending, T_TRACE] = threads[new, T_TRACE]
                         state.traces[threads[new, T_TRACE], X_REFERENCES] += 1
                     threads[ending, T_NEXT] = -1
@@ -643,7 +644,7 @@ def _begin(tables, state, cell, rule, rows, row, ordinal):
     thread = _take_thread(state)
     attempts[attempt, A_THREAD] = thread
     state.threads[thread, T_NEXT] = state.threads[thread, T_TRACE] = -1
-    state.threads[thread, T_POSITION] = tables.rules[rule, U_START]
+    state.threads[thread, T_POSITION] = tables.rules[rule, U_START] - tables.rules[rule, U_BASE]
     state.threads[thread, T_NULLS] = tables.rules[rule, U_NULLS]
     state.threads[thread, T_UNSET] = tables.rules[rule, U_UNSET]
     for at in range(tables.rules[rule, U_REGISTERS]):
@@ -1313,7 +1314,7 @@ def chained(counts, bounds, order, fresh, before):
     """
     earlier = 0
     for group in range(len(counts)):
-        last = np.int64(-1)
+        last = -1
         for row in range(earlier, earlier + counts[group]):
             before[row] = last
             last = row
@@ -1331,3 +1332,41 @@ def open_partitions(tables, state, partitions, watermark, words, rule):
         if _is_wanted(tables, state, partition, watermark, words, rule, rule + 1):
             count += 1
     return count
+
+
+@compiled
+def mark_rule(state, rule, cells, attempts, threads, traces):
+    """Marks the records that hold what is remembered of a rule."""
+    for cell in range(len(state.cells)):
+        if state.cells[cell, C_RULE] != rule:
+            continue
+        is_empty = state.cells[cell, C_FIRST] < 0
+        if is_empty and state.cells[cell, C_RESUME] <= state.last_ordinals[state.cells[cell, C_PARTITION]]:
+            continue
+        cells[cell] = True
+        attempt = state.cells[cell, C_FIRST]
+        while attempt >= 0:
+            attempts[attempt] = True
+            thread = state.attempts[attempt, A_THREAD]
+            while thread >= 0:
+                _mark_thread(state, thread, threads, traces)
+                thread = state.threads[thread, T_NEXT]
+            if state.attempts[attempt, E_THREAD] >= 0:
+                _mark_thread(state, state.attempts[attempt, E_THREAD], threads, traces)
+            attempt = state.attempts[attempt, A_NEXT]
+
+
+@compiled
+def _mark_thread(state, thread, threads, traces):
+    threads[thread] = True
+    trace = state.threads[thread, T_TRACE]
+    while trace >= 0 and not traces[trace]:
+        traces[trace] = True
+        trace = state.traces[trace, X_PARENT]
+
+
+@compiled
+def wanted_by(tables, state, partitions, watermark, words, rule, is_wanted):
+    """Marks the partitions of which anything has to be remembered for the rule."""
+    for partition in range(partitions):
+        is_wanted[partition] = _is_wanted(tables, state, partition, watermark, words, rule, rule + 1)

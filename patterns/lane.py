@@ -5,7 +5,7 @@ are final, groups them by partition in the total order, asks each question about
 and makes situations of what the kernel finds. Rules join a lane before its first row.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 from typing import Any
@@ -14,37 +14,41 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from events import EventType
 from patterns import kernel as k
 from patterns.bound import BoundRule
 from patterns.clock import Clock
-from patterns.columns import Places
 from patterns.columns import Rows as RowsOfTable
 from patterns.durations import microseconds
 from patterns.emitter import Emitter
-from patterns.errors import LimitError, PatternError, SkipError
-from patterns.expressions import Expr, Kind, Shift, column_names, walk
-from patterns.geometry import FrameSize
+from patterns.errors import CalibrationUnknown, FrameSizeUnknown, LimitError, MatchError, PatternError, SkipError
+from patterns.expressions import Column, Expr, Kind, Shift, column_names, walk
+from patterns.inputs import Input, rows_of
 from patterns.interning import Keys, Texts, as_value
 from patterns.kernel import Integers
 from patterns.matcher import Ending, Event, Found, Trace
 from patterns.packed import Assembly, Packed
+from patterns.places import Places
 from patterns.pools import Shape, grown, new_scratch, new_state, with_partitions, with_partitions_kept
 from patterns.records import ROW_COLUMNS, STREAM_COLUMNS, Arrived, Layout, Recorder, RowEvaluator
 from patterns.rows import SEQUENCE, STREAM, TIME, StreamNumbers, normalised
-from patterns.running import Counts, GivenUp, Outcome, decided_order
+from patterns.running import Counts, GivenUp, Outcome, decided_order, needs
+from patterns.site import Site
 from patterns.situations import EventRef, Match, Narrator, as_python, event_ref, nearest_time
 from patterns.tails import Tails
 
 SLOTS_MOST = 62
+_IMPLIED = frozenset((*STREAM_COLUMNS, *ROW_COLUMNS))
 
 
 @dataclass(frozen=True, slots=True)
-class Input:
+class LaneInput:
     """What rules of one lane share.
 
     Attributes:
-        type: The event type.
-        where: The filter of FROM.
+        type: The event type; None: rows are computed, or come from several arms.
+        where: The filter of FROM, where it is of one type.
+        arms: The arms of FROM, where they are more than that.
         keys: The partition columns.
         kinds: Their types.
         lateness_us: How late a row may be.
@@ -52,8 +56,9 @@ class Input:
         partitions_most: The limit `partitions`.
     """
 
-    type: str
+    type: str | None
     where: Expr | None
+    arms: tuple[Input, ...]
     keys: tuple[str, ...]
     kinds: tuple[Kind, ...]
     lateness_us: int
@@ -61,13 +66,14 @@ class Input:
     partitions_most: int
 
     @classmethod
-    def of(cls, packed: Packed) -> "Input":
+    def of(cls, packed: Packed) -> "LaneInput":
         """That of a rule."""
-        bound = packed.bound
+        bound, plain = packed.bound, packed.bound.plain_input
         time = bound.rule.time
         return cls(
-            type=bound.type,
+            type=None if plain is None else plain.type,
             where=packed.where,
+            arms=() if plain is not None else bound.inputs,
             keys=bound.keys,
             kinds=tuple(bound.columns[name] for name in bound.keys),
             lateness_us=microseconds(time.lateness),
@@ -125,21 +131,22 @@ class _Grouped:
 class Lane:
     """Rules that read the same rows. Not for several threads at once."""
 
-    def __init__(self, input_: Input, frame_sizes: Mapping[str, FrameSize], *, is_strict: bool) -> None:
+    def __init__(self, input_: LaneInput, site: Site, *, is_strict: bool) -> None:
         self.input = input_
         self.is_strict = is_strict
         self.members: list[Member] = []
         self.clock = Clock(input_.lateness_us, input_.idle_us)
         self.streams = StreamNumbers()
         self.counts = Counts()
-        self.frame_sizes = dict(frame_sizes)
+        self.site = site
         self.waiting: list[pa.Table] = []
         self.layout = Layout()
         self.zones: dict[str, Any] = {}
         self.lines: dict[str, Any] = {}
         self.texts = Texts()
         self.keys = Keys(input_.kinds)
-        self.recorder = Recorder(self.layout, Places(self.zones, self.lines, self.frame_sizes), self.texts)
+        self.places = Places(self.zones, self.lines, site)
+        self.recorder = Recorder(self.layout, self.places, self.texts)
         self.columns: dict[str, Kind] = {}
         self.tails = Tails(0, {})
         self._shape = Shape(0, 0, 0, 0)
@@ -165,6 +172,21 @@ class Lane:
         self._add_member(name, packed)
         self.rebuild()
 
+    def admit(self, name: str, packed: Packed) -> None:
+        """The rule is one of the lane's, and what it remembers of the rows before now is put in afterwards."""
+        words, slots = self.layout.words, len(self.layout.slots)
+        self._add_member(name, packed)
+        self._begin_columns()
+        rows, failures = self.state.last_rows, self.state.failures
+        wider = np.zeros((len(rows), k.R_BITS + self.layout.words + len(self.layout.slots)), dtype=np.int64)
+        wider[:, : k.R_BITS + words] = rows[:, : k.R_BITS + words]
+        first = k.R_BITS + self.layout.words
+        wider[:, first : first + slots] = rows[:, k.R_BITS + words :]
+        more = max(len(packed.bound.registers) - self.state.registers.shape[1], 0)
+        registers = np.pad(self.state.registers, ((0, 0), (0, more)))
+        self.state = self.state._replace(last_rows=wider, failures=np.append(failures, 0), registers=registers)
+        self.rebuild()
+
     def drop(self, name: str) -> None:
         """The rule is no longer the lane's, and what it remembered is forgotten."""
         at = self.place_of(name)
@@ -177,6 +199,16 @@ class Lane:
         rules[rules > at] -= 1
         self.rebuild()
 
+    @property
+    def types(self) -> frozenset[str]:
+        """The event types that the rules read."""
+        return frozenset().union(*(member.bound.types for member in self.members))
+
+    def place_if_any(self, rule_hash: str) -> int | None:
+        """Where a rule of this content stands among the lane's; None: there is none."""
+        hashes = [member.bound.rule.hash for member in self.members]
+        return hashes.index(rule_hash) if rule_hash in hashes else None
+
     def place_of(self, name: str) -> int:
         """Where the rule stands among the lane's."""
         return [member.name for member in self.members].index(name)
@@ -186,7 +218,7 @@ class Lane:
         self.zones.update(packed.zones)
         self.lines.update(packed.lines)
         self.layout.add(packed.predicates, packed.slots, self.zones)
-        places = Places(bound.rule.zones, bound.rule.lines, self.frame_sizes)
+        places = Places(bound.rule.zones, bound.rule.lines, self.site)
         member = Member(
             name=name,
             packed=packed,
@@ -205,34 +237,58 @@ class Lane:
         registers = max((len(each.bound.registers) for each in packed), default=0)
         self._shape = Shape(layout.words, len(layout.slots), registers, len(packed))
         assembly = Assembly(layout.bits, layout.slots, layout.words)
-        self._tables = assembly.tables(packed, is_strict=self.is_strict)
+        self.tables = assembly.tables(packed, is_strict=self.is_strict)
         self._wanted = frozenset(expr for member in self.members for expr in member.wanted)
         if self.is_fresh:
             self._begin_anew()
-        self._scratch = new_scratch(self._tables, self._shape)
+        self._scratch = new_scratch(self.tables, self._shape)
 
     def _begin_anew(self) -> None:
-        """Says what is to be kept of rows; later this may not change, because rows are there."""
-        where = () if self.input.where is None else (self.input.where,)
-        read = (*self._wanted, *where)
-        kinds = {name: kind for each in self.members for name, kind in each.bound.columns.items()}
-        names = (column_names(read) | set(self.input.keys)) - {*STREAM_COLUMNS, *ROW_COLUMNS}
-        self.columns = {name: kinds[name] for name in sorted(names)}
+        self._begin_columns()
         self.state = new_state(self._shape)
         reach = max((each.bound.reach for each in self.members), default=0)
-        self.tails = Tails(reach, self._looked_back_at(read))
+        looked_back_at = {
+            name: kind for each in self.members for name, kind in self.looked_back_at(each.packed).items()
+        }
+        self.tails = Tails(reach, looked_back_at)
 
-    def _looked_back_at(self, read: Sequence[Expr]) -> dict[str, Kind]:
-        """The columns that are read of earlier rows."""
+    def _begin_columns(self) -> None:
+        """Says which columns are to be kept of rows; with rows waiting, these have them all."""
+        columns = {name: kind for each in self.members for name, kind in self._columns_of(each.packed).items()}
+        self.columns = dict(sorted(columns.items()))
+
+    def _columns_of(self, packed: Packed) -> dict[str, Kind]:
+        names = (column_names((*packed.predicates, *packed.slots)) | set(packed.bound.keys)) - _IMPLIED
+        kinds = {name: kind for name, kind in packed.bound.columns.items() if name in names}
+        return kinds if packed.where is None else {**_reads(packed), **kinds}
+
+    def looked_back_at(self, packed: Packed) -> dict[str, Kind]:
+        """The columns that the rule reads of earlier rows."""
+        read = (*packed.predicates, *packed.slots)
         shifts = tuple(part for expr in read for part in walk(expr) if isinstance(part, Shift))
-        return {name: kind for name, kind in self.columns.items() if name in column_names(shifts)}
+        return {name: kind for name, kind in self._columns_of(packed).items() if name in column_names(shifts)}
 
     # Rows and time.
 
     def set_frame_size(self, source: str, width: int, height: int) -> None:
         """The source's frames have this size in pixels, from the next step on."""
-        self.frame_sizes[source] = (width, height)
+        self.site.frame_sizes[source] = (width, height)
         self.recorder.forget_rasters()
+
+    def learn(self, event: EventType, stream: str, sequence: int) -> dict[str, Outcome]:
+        """Takes in what an event says of a camera; a rule that cannot use it is set aside."""
+        needing = [
+            at for at, member in enumerate(self.members)
+            if needs(member.bound, event, needs_calibration=member.narrator.needs_calibration)
+        ]  # fmt: skip
+        if needing:
+            try:
+                self.site.learn(event, stream, sequence, self.clock.watermark_us)
+            except MatchError as error:
+                for at in needing:
+                    self._fail(at, error)
+            self.recorder.forget_rasters()
+        return {}
 
     def push(self, table: pa.Table, newest_by_source: Sequence[tuple[str, int]]) -> dict[str, Outcome]:
         """Takes rows as they arrive, whose envelope is whole, and for each source its newest time."""
@@ -277,10 +333,9 @@ class Lane:
 
     def _take(self, table: pa.Table) -> tuple[EventRef, ...]:
         """Holds the rows that are in time; the others."""
-        table = _of_type(table, self.input.type)
-        if table.num_rows == 0:
+        rows = self._rows_of(table)
+        if rows is None or rows.num_rows == 0:
             return ()
-        rows = normalised(table, self.columns, self.streams)
         late: tuple[EventRef, ...] = ()
         times = rows.column(TIME).to_numpy()
         watermark_us = self.clock.watermark_us
@@ -296,6 +351,19 @@ class Lane:
                 rows = rows.take(pa.array(np.argsort(times, kind="stable")))
             self.waiting.append(rows.combine_chunks())
         return late
+
+    def _rows_of(self, table: pa.Table) -> pa.Table | None:
+        """The rows that these events, of any types, are for the rules."""
+        if not self.members:
+            return None
+        if self.input.type is None:
+            rows = rows_of(self.input.arms, table, self.streams, self.places)
+            return None if rows is None else rows.select([STREAM, TIME, SEQUENCE, *self.columns])
+        table = _of_type(table, self.input.type)
+        if table.num_rows == 0:
+            return None
+        rows = normalised(table, self.columns, self.streams)
+        return rows if self.input.where is None else self._filtered(rows)
 
     def _released(self, before_us: int | None) -> pa.Table | None:
         """The rows that are final, in any order; they wait no longer. None: there are none."""
@@ -318,8 +386,6 @@ class Lane:
     # From rows to matches.
 
     def _run(self, rows: pa.Table | None) -> None:
-        if rows is not None and self.input.where is not None:
-            rows = self._filtered(rows)
         if rows is None or rows.num_rows == 0 or not self.members:
             return
         grouped = self._grouped(rows)
@@ -328,7 +394,7 @@ class Lane:
         self._fail_where_unknown()
         cursor = np.array([0, -1], dtype=np.int64)
         while k.run(
-            self._tables, self.state, self._scratch, records, grouped.order, grouped.partitions, grouped.bounds, cursor,
+            self.tables, self.state, self._scratch, records, grouped.order, grouped.partitions, grouped.bounds, cursor,
             self._shape.words,
         ):  # fmt: skip
             self.state = grown(self.state)
@@ -337,7 +403,7 @@ class Lane:
     def _filtered(self, rows: pa.Table) -> pa.Table | None:
         assert self.input.where is not None
         arrived = Arrived(rows, 0, None, rows.column(STREAM).to_numpy(), self.streams.names)
-        evaluator = RowEvaluator(RowsOfTable(rows, np.empty(0, dtype=np.int64)), self.recorder.places, arrived=arrived)
+        evaluator = RowEvaluator(RowsOfTable(rows, np.empty(0, dtype=np.int64)), self.places, arrived=arrived)
         try:
             holds = evaluator.truth(self.input.where)
         except PatternError as error:
@@ -351,7 +417,7 @@ class Lane:
         streams = rows.column(STREAM).to_numpy()
         columns = [self._key_column(rows, name, streams) for name in self.input.keys]
         numbers = self.keys.numbers(columns, count)
-        self._make_room()
+        self.make_room()
         bounds, partitions, order = (np.empty(length, dtype=np.int64) for length in (count + 1, count, count))
         time, sequence = rows.column(TIME).to_numpy(), rows.column(SEQUENCE).to_numpy()
         rank = self.streams.ranks()[streams]
@@ -366,7 +432,8 @@ class Lane:
         parts = [stream.split("/")[STREAM_COLUMNS[name]] for stream in self.streams.names]
         return np.array([self.keys.texts.number(part) for part in parts], dtype=np.int64)[streams]
 
-    def _make_room(self) -> None:
+    def make_room(self) -> None:
+        """Makes room for all partitions that have a number."""
         self.state = with_partitions(self.state, self.keys.count)
         room = len(self.state.first_cells)
         self.tails.make_room(room)
@@ -375,7 +442,7 @@ class Lane:
 
     def _expire(self, until_us: int, *, is_end: bool) -> None:
         cursor = np.zeros(1, dtype=np.int64)
-        while k.expire(self._tables, self.state, until_us, is_end, cursor):
+        while k.expire(self.tables, self.state, until_us, is_end, cursor):
             self.state = grown(self.state)
 
     # Failures.
@@ -389,7 +456,7 @@ class Lane:
     def _fail(self, at: int, error: Exception) -> None:
         """The rule is set aside from this step on; the set takes it out after it."""
         member = self.members[at]
-        member.failure = member.failure or error
+        member.failure = member.failure or _in_own_names(member, error)
         self.state.failures[at] = -1
 
     def _note_failures(self) -> None:
@@ -504,7 +571,7 @@ class Lane:
 
     def _is_wanted(self, watermark_us: int) -> Any:
         is_wanted = np.zeros(self.keys.count, dtype=np.bool_)
-        k.wanted(self._tables, self.state, self.keys.count, watermark_us, self._shape.words, is_wanted)
+        k.wanted(self.tables, self.state, self.keys.count, watermark_us, self._shape.words, is_wanted)
         return is_wanted
 
     def _limited(self, kept: Integers) -> Integers:
@@ -537,6 +604,13 @@ class Lane:
             cell = int(state.cells[cell, k.C_NEXT])
         k.drop_partition(state, partition)
 
+    def compile_rest(self) -> None:
+        """Runs what is seldom run: forgetting partitions, one by one and all that nothing is remembered of."""
+        self._keep(np.flatnonzero(self._is_wanted(0)))
+        for partition in range(self.keys.count):
+            k.drop_partition(self.state, partition)
+        k.drop_rule(self.state, -2)
+
     # How it stands.
 
     @property
@@ -555,7 +629,13 @@ class Lane:
         at = self.place_of(name)
         watermark_us = self.clock.watermark_us
         until = int(k.NEVER) * -1 if watermark_us is None else watermark_us
-        return int(k.open_partitions(self._tables, self.state, self.keys.count, until, self._shape.words, at))
+        return int(k.open_partitions(self.tables, self.state, self.keys.count, until, self._shape.words, at))
+
+
+def _reads(packed: Packed) -> dict[str, Kind]:
+    """The columns that the filter of FROM reads."""
+    where = () if packed.where is None else tuple(walk(packed.where))
+    return {part.name: part.kind for part in where if isinstance(part, Column) and part.name not in _IMPLIED}
 
 
 def _found_of(record: list[int], registers: tuple[Any, ...], runs: list[list[int]]) -> Found:
@@ -590,6 +670,19 @@ def _error_of(bound: BoundRule, failure: int) -> PatternError:
         f"a partition has more partial matches than the limit `threads`, {bound.limits.threads}. "
         "Begin the pattern with a rarer row, or shorten WITHIN"
     )
+
+
+def _in_own_names(member: Member, error: Exception) -> Exception:
+    """The error with the rule's own name for the zone or line that it is about."""
+    rule = member.bound.rule
+    names = {shape.model_dump_json(): name for name, shape in (*rule.zones.items(), *rule.lines.items())}
+    if isinstance(error, FrameSizeUnknown) and error.shape in names:
+        return FrameSizeUnknown(names[error.shape], error.source)
+    if isinstance(error, CalibrationUnknown):
+        for shape, name in names.items():
+            if repr(shape) in error.who:
+                return CalibrationUnknown(error.who.replace(repr(shape), repr(name)), error.source)
+    return error
 
 
 def _of_type(table: pa.Table, wanted: str) -> pa.Table:

@@ -5,17 +5,20 @@ in a value, or at any character of the SQL, names its line and column in the
 file. The SQL is parsed when the rule is loaded, and bound later.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import yaml
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 from yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
 
 from patterns.errors import RuleError
+from patterns.lists import file_values, is_file
 from patterns.parser import parse
 from patterns.rule import Rule
+from patterns.template import filled_in
 from patterns.text import Document, Passage
 
 FILE_SIZE_MOST = 1_000_000
@@ -23,6 +26,7 @@ DEPTH_MOST = 20
 """Deepest nesting of lists and mappings in a rule file; the format needs 4."""
 
 KeyPath = tuple[str, ...]
+M = TypeVar("M", bound=BaseModel)
 
 _TOO_DEEP = f"a rule file nests at most {DEPTH_MOST} lists and mappings in each other, and none in itself"
 
@@ -59,18 +63,27 @@ def load_rule(path: Path) -> Rule:
         OSError: The file cannot be read.
     """
     path = Path(path)
+    return parse_rule(read_text(path), str(path), path)
+
+
+def read_text(path: Path) -> str:
+    """The text of a rule or stage file.
+
+    Raises:
+        RuleError: It is too long, or not UTF-8.
+        OSError: The file cannot be read.
+    """
     data = path.read_bytes()
     document = Document(str(path), "")
     if len(data) > FILE_SIZE_MOST:
         raise RuleError(f"a rule file has at most {FILE_SIZE_MOST} bytes, got {len(data)}", document.place(0, 0))
     try:
-        text = data.decode("utf-8")
+        return data.decode("utf-8")
     except UnicodeDecodeError as error:
         before = data[: error.start].decode("utf-8", errors="replace")
         document = Document(str(path), before)
         lines = before.split("\n")
         raise RuleError("a rule file is UTF-8; here it is not", document.place(len(lines), len(lines[-1]))) from error
-    return parse_rule(text, str(path), path)
 
 
 def parse_rule(text: str, name: str = "<rule>", path: Path | None = None) -> Rule:
@@ -79,22 +92,47 @@ def parse_rule(text: str, name: str = "<rule>", path: Path | None = None) -> Rul
     Raises:
         RuleError: The text is not a rule.
     """
-    document = Document(name, text)
-    node = _composed(document)
-    if not isinstance(node, MappingNode):
-        what = "an empty file" if node is None else "no mapping"
-        raise RuleError(f"a rule file is a mapping with `rule:`, `version:`, `match:` ...; got {what}",
-                        document.place(0, 0))  # fmt: skip
-    passages: dict[KeyPath, Passage] = {}
-    _note(node, (), document, passages)
-    values = _constructed(node, document)
-    try:
-        rule = Rule.model_validate(values)
-    except ValidationError as error:
-        raise _pointed(error, passages) from error
+    rule, passages = read_document(Document(name, text), Rule, partial(_prepared, folder=path and path.parent))
     rule = rule.loaded_from(path, passages)
     parse(rule.passage("match"))
     return rule
+
+
+def _prepared(values: Mapping[str, Any], passages: dict[KeyPath, Passage], folder: Path | None) -> Mapping[str, Any]:
+    """A rule file's values with the template filled in, and the values of lists that stand in files of their own."""
+    filled = filled_in(values, passages)
+    params = filled.get("params")
+    if not isinstance(params, Mapping):
+        return filled
+    field = "with" if "template" in values else "params"
+    return {**filled, "params": {
+        name: file_values(value["file"], passages[field, name], folder) if is_file(value) else value
+        for name, value in params.items()
+    }}  # fmt: skip
+
+
+def read_document(
+    document: Document, model: type[M], prepare: Callable[[Any, dict[KeyPath, Passage]], Any] = lambda values, _: values
+) -> tuple[M, Mapping[KeyPath, Passage]]:
+    """What a YAML text says, as the model has it, and where in the text each of its values stands.
+
+    `prepare` may change the values before the model sees them, and note where new ones stand.
+
+    Raises:
+        RuleError: The text is not YAML, or not what the model asks for; it points at the place.
+    """
+    node = _composed(document)
+    if not isinstance(node, MappingNode):
+        what = "an empty file" if node is None else "no mapping"
+        keys = " ".join(f"`{name}:`," for name, field in model.model_fields.items() if field.is_required())
+        raise RuleError(f"a {model.__name__.lower()} file is a mapping with {keys} ...; got {what}",
+                        document.place(0, 0))  # fmt: skip
+    passages: dict[KeyPath, Passage] = {}
+    _note(node, (), document, passages)
+    try:
+        return model.model_validate(prepare(_constructed(node, document), passages)), passages
+    except ValidationError as error:
+        raise _pointed(error, passages, model) from error
 
 
 def _composed(document: Document) -> Node | None:
@@ -174,19 +212,19 @@ def _block_starts(text: str, document: Document, line: int) -> tuple[tuple[int, 
     return tuple((line + 1 + index, indentation) for index in range(len(lines)))
 
 
-def _pointed(error: ValidationError, passages: Mapping[KeyPath, Passage]) -> RuleError:
+def _pointed(error: ValidationError, passages: Mapping[KeyPath, Passage], whole: type[BaseModel]) -> RuleError:
     """The first complaint of pydantic, pointing at the value that it is about."""
     complaints = error.errors(include_url=False)
     # A misspelt key is two complaints, of which the unknown key says more than the missing one.
     first = next((each for each in complaints if each["type"] == "extra_forbidden"), complaints[0])
     message = str(first["msg"]).removeprefix("Value error, ")
     location = tuple(str(part) for part in first["loc"])
-    shown = ".".join(part for part in location if not any(sign in part for sign in "[(")) or "rule"
+    shown = ".".join(part for part in location if not any(sign in part for sign in "[(")) or whole.__name__.lower()
     if first["type"] == "extra_forbidden":
-        message = f"unknown key; there are: {', '.join(_known_keys(location))}"
+        message = f"unknown key; there are: {', '.join(_known_keys(location, whole))}"
         location = (*location, "[key]")
     elif first["type"] == "missing":
-        message = "this key is missing"
+        message = "this key is missing" + ("; write SQL there, or name a template" if location == ("match",) else "")
     elif first["type"] != "value_error" and isinstance(first["input"], str | int | float):
         message += f", got {first['input']!r}"
     for length in range(len(location), -1, -1):
@@ -195,14 +233,14 @@ def _pointed(error: ValidationError, passages: Mapping[KeyPath, Passage]) -> Rul
     raise AssertionError("the document itself has a place")
 
 
-def _known_keys(location: KeyPath) -> list[str]:
+def _known_keys(location: KeyPath, whole: type[BaseModel]) -> list[str]:
     """The keys that may stand where this one does."""
-    model: Any = Rule
+    model: Any = whole
     for part in location[:-1]:
         field = getattr(model, "model_fields", {}).get(part)
         if field is not None:
             model = next((each for each in _models(field.annotation)), None)
-    return sorted(model.model_fields) if model is not None else []
+    return sorted(field.alias or name for name, field in model.model_fields.items()) if model is not None else []
 
 
 def _models(annotation: Any) -> list[Any]:

@@ -13,7 +13,7 @@ import numpy as np
 from patterns import kernel as k
 from patterns.bound import BoundRule, Register
 from patterns.engine import live_registers
-from patterns.expressions import Aggregate, Call, Const, Crosses, Expr, InZone, Kind, Reference, Shift, rebuilt, walk
+from patterns.expressions import Call, Const, Crosses, Expr, InZone, Kind, Shift, rebuilt, walk
 from patterns.geometry import Line, Zone
 from patterns.kernel import Integers, Tables
 from patterns.syntax import SkipMode
@@ -34,7 +34,7 @@ class Packed:
 
     Attributes:
         bound: The rule.
-        where: The filter of FROM.
+        where: The filter of FROM, where its only arm is an event type.
         conditions: For each variable the row-local conditions that must all be true.
         slots: The row-local values that it reads.
         guards: For each variable its guard's program; slots are numbers in `slots`.
@@ -64,10 +64,11 @@ def pack(bound: BoundRule) -> Packed:
     """
     _check(bound)
     names = _Names(bound)
+    plain = bound.plain_input
     predicates = tuple(names.named(each) for each in bound.predicates)
     return Packed(
         bound=bound,
-        where=None if bound.where is None else names.named(bound.where),
+        where=None if plain is None or plain.where is None else names.named(plain.where),
         conditions=tuple(tuple(predicates[at] for at in each.predicates) for each in bound.conditions),
         slots=tuple(names.named(each) for each in bound.slots),
         guards=tuple(_guard(bound, each.guard) for each in bound.conditions),
@@ -85,13 +86,13 @@ def _check(bound: BoundRule) -> None:
     for register in bound.registers:
         if register.offset or register.how == "list":
             raise NotPacked(f"a remembered value of the kind {register.how}, offset {register.offset}")
-    read = (*bound.predicates, *bound.slots, *(() if bound.where is None else (bound.where,)))
+    read = (*bound.predicates, *bound.slots)
     if any(isinstance(part, Shift) and part.rows < 0 for each in read for part in walk(each)):
         raise NotPacked("rows to come")
 
 
 class _Names:
-    """Gives zones and lines names that say what they are."""
+    """Gives the rule's own zones and lines names that say what they are; shared ones keep theirs."""
 
     def __init__(self, bound: BoundRule) -> None:
         self.rule = bound.rule
@@ -100,12 +101,12 @@ class _Names:
 
     def named(self, expr: Expr) -> Expr:
         expr = rebuilt(expr, self.named)
-        if isinstance(expr, InZone):
+        if isinstance(expr, InZone) and expr.zone in self.rule.zones:
             zone = self.rule.zones[expr.zone]
             name = zone.model_dump_json()
             self.zones[name] = zone
             return replace(expr, zone=name)
-        if isinstance(expr, Crosses):
+        if isinstance(expr, Crosses) and expr.line in self.rule.lines:
             line = self.rule.lines[expr.line]
             name = line.model_dump_json()
             self.lines[name] = line
@@ -137,7 +138,7 @@ class _Coder:
             return [(k.OP_SLOT, self.slots[expr])]
         if isinstance(expr, Const):
             return [_constant(expr)]
-        if not isinstance(expr, Call) or isinstance(expr, Reference | Aggregate):
+        if not isinstance(expr, Call):
             raise NotPacked(f"{type(expr).__name__} of what a match remembers")
         return self.call(expr)
 
@@ -264,7 +265,7 @@ class Assembly:
         self.rules.append([
             base + tables.start, -1 if bound.within_us is None else bound.within_us, skip,
             sum(1 << variable for variable in bound.skip_variables), int(merges), len(bound.registers), nulls, unset,
-            bound.limits.threads, *pairs, int(bound.looks_back), int(is_strict),
+            bound.limits.threads, *pairs, int(bound.looks_back), int(is_strict), base,
         ])  # fmt: skip
 
     def _follow(self, base: int, positions: Sequence[int]) -> None:

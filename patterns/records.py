@@ -15,12 +15,13 @@ import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from patterns import kernel as k
-from patterns.columns import ColumnEvaluator, Places, Rows
+from patterns.columns import ColumnEvaluator, Rows
 from patterns.errors import PatternError
-from patterns.expressions import Call, Column, Expr, InZone, Kind, Shift, walk
+from patterns.expressions import Call, Column, Crosses, Expr, InZone, Kind, Shift, walk
 from patterns.geometry import Zone
 from patterns.interning import Texts, as_words
 from patterns.kernel import Integers
+from patterns.places import Places
 from patterns.raster import Raster
 from patterns.rows import SEQUENCE, TIME
 
@@ -60,7 +61,7 @@ class Layout:
         for predicate in predicates:
             if predicate not in self.bits:
                 asked = _zone_of(predicate)
-                if asked is None:
+                if asked is None or asked.zone not in zones or zones[asked.zone].units == "metres":
                     self.bits[predicate] = self.plain[predicate] = self._next_bit()
                 else:
                     self._add_zone(asked, zones[asked.zone])
@@ -155,18 +156,19 @@ class RowEvaluator(ColumnEvaluator):
             return self.column(expr.operand)
         return self.column(expr.operand).take(pa.array(rows, mask=rows < 0))
 
-    def _of_source(self, source: str, operands: tuple[Expr, ...], ask: Any) -> Any:
-        if operands[0] != _SOURCE:
-            return ColumnEvaluator._of_source(self, source, operands, ask)
-        is_here = self.is_from(source)
-        values = [floats_of(self.column(operand)) for operand in operands[1:]]
-        is_unknown = ~np.logical_and.reduce([np.isfinite(value) for value in values])
-        if is_here.all() and not is_unknown.any():
-            return pa.array(ask(*values))
-        result = np.zeros(len(is_here), dtype=bool)
-        asked = is_here & ~is_unknown
-        result[asked] = ask(*[value[asked] for value in values])
-        return pa.array(result, mask=is_unknown & is_here)
+    def _crosses(self, expr: Crosses) -> Any:
+        if expr.operands[0] != _SOURCE:
+            return ColumnEvaluator._crosses(self, expr)
+        values = [floats_of(self.column(operand)) for operand in expr.operands[1:]]
+        is_finite = np.logical_and.reduce([np.isfinite(value) for value in values])
+        crossed, is_unknown = np.zeros(len(is_finite), dtype=bool), np.zeros(len(is_finite), dtype=bool)
+        for line in self.places.lines_named(expr.line):
+            is_here = self.is_from(line.source)
+            asked = is_here & is_finite
+            is_unknown |= is_here & ~is_finite
+            x0, y0, x1, y1 = values if asked.all() else [value[asked] for value in values]
+            crossed[asked] = self.places.crossed(line, expr.line, (x0, y0, x1, y1), expr.direction)
+        return pa.array(crossed, mask=is_unknown)
 
     def is_from(self, source: str) -> NDArray[np.bool_]:
         """Which rows are of this source."""

@@ -34,6 +34,12 @@ class StreamNumbers:
         """The numbers that were given to these names, in this order."""
         return cls(list(names), {name: number for number, name in enumerate(names)})
 
+    def take(self, names: Sequence[str]) -> None:
+        """Goes on from these numbers, in place."""
+        self.names[:] = names
+        self._numbers.clear()
+        self._numbers.update({name: number for number, name in enumerate(names)})
+
     def numbers(self, batch: pa.Table) -> NDArray[np.int64]:
         """For each row its stream's number."""
         parts = [encoded(batch.column(name)) for name in ("station", "source", "type")]
@@ -130,6 +136,20 @@ def in_total_order(rows: pa.Table, streams: StreamNumbers) -> pa.Table:
     if _is_sorted(time, rank, sequence):
         return rows
     return rows.take(pa.array(np.lexsort((sequence, rank, time))))
+
+
+def newest_by_source(batch: pa.Table) -> list[tuple[str, int]]:
+    """For each source its newest time in microseconds."""
+    times = batch.column("time").cast(pa.timestamp("us", batch.column("time").type.tz)).cast(pa.int64()).to_numpy()
+    sources = encoded(batch.column("source"))
+    if len(sources.dictionary) == 1:
+        return [(sources.dictionary[0].as_py(), int(times.max()))]
+    newest = np.full(len(sources.dictionary), np.iinfo(np.int64).min)
+    numbers = sources.indices.to_numpy()
+    np.maximum.at(newest, numbers, times)
+    is_used = np.bincount(numbers, minlength=len(newest)) > 0
+    named = zip(sources.dictionary.to_pylist(), newest.tolist(), is_used.tolist(), strict=True)
+    return [(source, time) for source, time, used in named if used]
 
 
 def partition_codes(rows: pa.Table, keys: Sequence[str]) -> NDArray[np.int64]:

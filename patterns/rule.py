@@ -16,6 +16,7 @@ from pydantic import (
     BeforeValidator,
     ConfigDict,
     Field,
+    InstanceOf,
     PrivateAttr,
     StrictBool,
     StrictInt,
@@ -26,13 +27,15 @@ from pydantic import (
 from patterns.durations import is_duration, microseconds, parse_duration
 from patterns.errors import RuleError
 from patterns.geometry import Line, Zone
+from patterns.quantities import Quantity, is_quantity, parse_quantity
 from patterns.text import Passage
 from patterns.tokens import tokenise
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9](?:[A-Za-z0-9._-]{0,62}[A-Za-z0-9])?$")]
 ColumnName = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]{0,62}$")]
 Severity = Literal["info", "warning", "alarm"]
-ParamValue = bool | int | float | str | timedelta
+ParamScalar = bool | int | float | str | timedelta | Quantity
+ParamValue = ParamScalar | tuple[ParamScalar, ...]
 CellValue = bool | int | float | str | datetime | timedelta | None
 
 
@@ -41,13 +44,26 @@ def _as_duration(value: Any) -> Any:
 
 
 def _as_param(value: Any) -> Any:
-    return parse_duration(value) if isinstance(value, str) and is_duration(value) else value
+    """What a parameter's text means: a duration, a speed or length, or itself."""
+    if isinstance(value, str) and is_duration(value):
+        return parse_duration(value)
+    return parse_quantity(value) if isinstance(value, str) and is_quantity(value) else value
+
+
+def _as_list(value: Any) -> Any:
+    if isinstance(value, list | tuple):
+        if not value:
+            raise ValueError("a list has one value or more")
+        return tuple(map(_as_param, value))
+    return _as_param(value)
 
 
 Duration = Annotated[timedelta, BeforeValidator(_as_duration), Field(ge=timedelta(0), strict=True)]
 _FiniteFloat = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 _StrictDuration = Annotated[timedelta, Field(strict=True)]
-Param = Annotated[StrictBool | StrictInt | _FiniteFloat | StrictStr | _StrictDuration, BeforeValidator(_as_param)]
+_Scalar = StrictBool | StrictInt | _FiniteFloat | StrictStr | _StrictDuration | InstanceOf[Quantity]
+Param = Annotated[_Scalar | tuple[_Scalar, ...], BeforeValidator(_as_list)]
+Homography = tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
 
 
 class _Frozen(BaseModel):
@@ -88,12 +104,18 @@ class Case(_Frozen):
         expect: For each situation wanted, in order, the measures, partition columns or
             `title` to compare; what is not named is not compared.
         frames: Frame size (width, height) in pixels for each source, for normalised zones and lines.
+        zones: For shared zones that the rule names, what they are in this test.
+        lines: For shared lines that the rule names, what they are in this test.
+        calibrations: For each source its homography, px to m on the ground, row by row, for frames of `frames`.
     """
 
     name: str | None = None
     given: str | tuple[Mapping[str, CellValue], ...]
     expect: tuple[Mapping[str, CellValue], ...]
     frames: Mapping[str, tuple[int, int]] = Field(default_factory=dict)
+    zones: Mapping[Name, Zone] = Field(default_factory=dict)
+    lines: Mapping[Name, Line] = Field(default_factory=dict)
+    calibrations: Mapping[str, Homography] = Field(default_factory=dict)
 
 
 class Rule(_Frozen):
@@ -105,10 +127,14 @@ class Rule(_Frozen):
     severity: Severity
     zones: Mapping[Name, Zone] = Field(default_factory=dict)
     lines: Mapping[Name, Line] = Field(default_factory=dict)
+    shared: tuple[Name, ...] = ()
     params: Mapping[ColumnName, Param] = Field(default_factory=dict)
     time: TimeSettings = TimeSettings()
     emit: EmitSettings = EmitSettings()
     profile: Literal["full", "portable"] = "full"
+    template: Name | None = None
+    given: Mapping[str, Any] = Field(default_factory=dict, alias="with")
+    shadow: bool = Field(default=False, strict=True)
     match: str = Field(min_length=1)
     tests: tuple[Case, ...] = ()
 
@@ -121,12 +147,21 @@ class Rule(_Frozen):
         both = sorted(set(self.zones) & set(self.lines))
         if both:
             raise ValueError(f"{both[0]!r} names both a zone and a line")
+        own = sorted((set(self.zones) | set(self.lines)) & set(self.shared))
+        if own:
+            raise ValueError(f"{own[0]!r} is shared, and also drawn in the rule itself; keep one of them")
         return self
 
     @property
     def path(self) -> Path | None:
         """The file that says this rule; None if it was made in a program, or changed since it was loaded."""
         return self._path
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether the rule's own file says all of it, without a template or lists in other files."""
+        lists = (path for path in self._passages if len(path) == 3 and path[0] == "params" and path[2] == "file")
+        return self._path is not None and self.template is None and not any(lists)
 
     @property
     def folder(self) -> Path:
@@ -138,8 +173,9 @@ class Rule(_Frozen):
         """SHA-256, in hex, of everything that changes which situations the rule finds or what they say.
 
         Layout: UTF-8 JSON with sorted keys and no spaces, of the fields `rule`, `version`,
-        `title`, `severity`, `zones`, `lines`, `params`, `time`, `emit` and `match`; durations in
-        microseconds as `{"us": n}`, and `match` without comments and with single spaces.
+        `title`, `severity`, `zones`, `lines`, `params`, `time`, `emit` and `match`, and of `shared` if
+        it has any; durations in microseconds as `{"us": n}`, speeds and lengths in their base unit as
+        `{"m/s": n}`, and `match` without comments and with single spaces.
         """
         return hashlib.sha256(self._canonical().encode()).hexdigest()
 
@@ -180,7 +216,7 @@ class Rule(_Frozen):
         Raises:
             ValueError: The rule has no parameter of one of the names.
         """
-        return self._with("params", self.params, {name: _as_param(value) for name, value in params.items()})
+        return self._with("params", self.params, {name: _as_list(value) for name, value in params.items()})
 
     def loaded_from(self, path: Path | None, passages: Mapping[tuple[str, ...], Passage]) -> Self:
         """The rule, knowing where in which file each of its values stands."""
@@ -201,7 +237,7 @@ class Rule(_Frozen):
         return changed
 
     def _canonical(self) -> str:
-        fields = self.model_dump(include=_MEANING)
+        fields = self.model_dump(include=_MEANING | ({"shared"} if self.shared else set()))
         fields["match"] = " ".join(token.text for token in tokenise(self.passage("match")))
         return json.dumps(fields, sort_keys=True, separators=(",", ":"), default=_json_value)
 
@@ -214,4 +250,6 @@ _MEANING = {
 def _json_value(value: Any) -> Any:
     if isinstance(value, timedelta):
         return {"us": microseconds(value)}
+    if isinstance(value, Quantity):
+        return {value.base_unit: value.value}
     raise TypeError(f"no canonical form for {type(value).__name__}")

@@ -12,18 +12,24 @@ something to say: a match, a late row, something given up.
 """
 
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
+from functools import partial
 from time import perf_counter
+from typing import TYPE_CHECKING
 
+from events import EventType
 from patterns.bound import BoundRule
-from patterns.errors import PatternError
-from patterns.geometry import FrameSize
-from patterns.lane import Input, Lane
-from patterns.lane_state import restored_lane, saved_lane
-from patterns.packed import NotPacked, Packed, pack
-from patterns.rows import check_envelope
-from patterns.running import Counts, Outcome, Rows, RuleRun, as_table, newest_by_source, wall_us
+from patterns.errors import MatchError, PatternError
+from patterns.rows import check_envelope, newest_by_source
+from patterns.running import Counts, Outcome, Rows, RuleRun, as_table, wall_us
+from patterns.site import Site
+
+if TYPE_CHECKING:
+    # Numba takes a third of a second to import: only who runs rules pays that.
+    from patterns.lane import Lane
+    from patterns.packed import Packed
 
 Outcomes = dict[str, Outcome]
 
@@ -61,6 +67,7 @@ class RuleSetRun:
         clock: Callable[[], float] = perf_counter,
         *,
         is_strict: bool = False,
+        uses_kernel: bool | None = None,
     ) -> None:
         """A set of these rules.
 
@@ -69,7 +76,14 @@ class RuleSetRun:
             clock: A clock in seconds, by which the rules' cost is measured.
             is_strict: Whether a limit that is reached ends a rule, as in batch; else what it costs is
                 forgotten, and said in the outcome.
+            uses_kernel: Whether the rules run on the compiled kernel, where it can express them; None:
+                if it is compiled on this machine, see `patterns.compiling`.
         """
+        if uses_kernel is None:
+            from patterns.compiling import is_compiled
+
+            uses_kernel = is_compiled()
+        self._uses_kernel = uses_kernel
         self.failures: dict[str, Exception] = {}
         self._clock = clock
         self._is_strict = is_strict
@@ -78,7 +92,7 @@ class RuleSetRun:
         self._lane_of: dict[str, Lane] = {}
         self._names: dict[str, None] = {}
         self._spent_s: dict[str, float] = {}
-        self._frame_sizes: dict[str, FrameSize] = {}
+        self._site = Site()
         for bound in bounds:
             self.add(bound)
 
@@ -90,9 +104,8 @@ class RuleSetRun:
     @property
     def input_types(self) -> frozenset[str]:
         """The event types that the rules are written over."""
-        return frozenset(
-            (*(run.input_type for run in self._alone.values()), *(lane.input.type for lane in self._lanes))
-        )
+        alone = (run.input_types for run in self._alone.values())
+        return frozenset().union(*alone, *(lane.types for lane in self._lanes))
 
     # Rules come and go.
 
@@ -101,8 +114,8 @@ class RuleSetRun:
 
         Args:
             bound: The rule.
-            state: What `state` gave of it, to go on from there; None: it begins anew, and knows the
-                frame sizes that the set was told.
+            state: What `state` gave of it, to go on from there; None: it begins anew, and knows of the
+                cameras what the set was told.
             name: What the set shall know it by, where that is not the rule's name: two versions of
                 a rule may run side by side.
 
@@ -113,10 +126,11 @@ class RuleSetRun:
         name = name or bound.rule.rule
         if name in self._names:
             raise PatternError(f"the set has a rule {name} already. Next: remove it, or add this one by another name")
-        try:
-            self._add_to_lane(name, pack(bound), state)
-        except NotPacked:
+        packed = self._packed(bound, state)
+        if packed is None:
             self._add_alone(name, bound, state)
+        else:
+            self._add_to_lane(name, packed, state)
         self.failures.pop(name, None)
         self._names[name] = None
         self._spent_s[name] = 0.0
@@ -140,6 +154,8 @@ class RuleSetRun:
         self._check_has(name)
         if name in self._alone:
             return self._alone[name].state()
+        from patterns.lane_state import saved_lane
+
         return saved_lane(self._lane_of[name], name)
 
     def status(self, name: str) -> RuleStatus:
@@ -164,11 +180,20 @@ class RuleSetRun:
 
     def set_frame_size(self, source: str, width: int, height: int) -> None:
         """The source's frames have this size in pixels, from the next step on."""
-        self._frame_sizes[source] = (width, height)
+        self._site.frame_sizes[source] = (width, height)
         for run in self._alone.values():
             run.set_frame_size(source, width, height)
         for lane in self._lanes:
             lane.set_frame_size(source, width, height)
+
+    def learn(self, event: EventType, stream: str, sequence: int) -> None:
+        """Takes in what an event says of a camera: see `RuleRun.learn`. A rule that cannot use it is set aside."""
+        with suppress(MatchError):  # The rules that need it say so themselves.
+            self._site.learn(event, stream, sequence)
+        self._each(
+            partial(_learnt, event=event, stream=stream, sequence=sequence),
+            lambda lane: lane.learn(event, stream, sequence),
+        )
 
     def push(self, rows: Rows) -> Outcomes:
         """Takes rows as they arrive, of any streams and types.
@@ -196,9 +221,13 @@ class RuleSetRun:
         """The input has ended: everything is decided. What is pushed after this begins anew."""
         return self._each(lambda run: run.finish(), lambda lane: lane.finish())
 
+    def compile_rest(self, name: str) -> None:
+        """Runs what the kernel seldom runs, so that it is compiled: see `patterns.compiling`."""
+        self._lane_of[name].compile_rest()
+
     # Each rule by itself, each lane by itself.
 
-    def _each(self, step: Callable[[RuleRun], Outcome], step_lane: Callable[[Lane], Outcomes]) -> Outcomes:
+    def _each(self, step: Callable[[RuleRun], Outcome], step_lane: Callable[["Lane"], Outcomes]) -> Outcomes:
         outcomes = {}
         for lane in list(self._lanes):
             outcomes.update(self._step_of_lane(lane, step_lane))
@@ -214,7 +243,7 @@ class RuleSetRun:
                 outcomes[name] = outcome
         return outcomes
 
-    def _step_of_lane(self, lane: Lane, step: Callable[[Lane], Outcomes]) -> Outcomes:
+    def _step_of_lane(self, lane: "Lane", step: Callable[["Lane"], Outcomes]) -> Outcomes:
         began = self._clock()
         try:
             outcomes = step(lane)
@@ -243,23 +272,40 @@ class RuleSetRun:
         if not lane.members:
             self._lanes.remove(lane)
 
-    def _add_to_lane(self, name: str, packed: Packed, state: bytes | None) -> None:
-        input_ = Input.of(packed)
+    def _packed(self, bound: BoundRule, state: bytes | None) -> "Packed | None":
+        """The rule for the kernel; None: it runs alone. A state goes on where it was made."""
+        is_of_kernel = state is not None and state.startswith(KERNEL_STATE)
+        if not is_of_kernel and (state is not None or not self._uses_kernel):
+            return None
+        from patterns.packed import NotPacked, pack
+
+        try:
+            return pack(bound)
+        except NotPacked:
+            return None
+
+    def _add_to_lane(self, name: str, packed: "Packed", state: bytes | None) -> None:
+        from patterns.lane_state import restored
+
         if state is not None:
-            lane = restored_lane(name, packed, state, is_strict=self._is_strict)
-            self._lanes.append(lane)
+            lane = restored(name, packed, state, self._lanes, is_strict=self._is_strict)
+            if lane not in self._lanes:
+                self._lanes.append(lane)
         else:
-            lane = self._fresh_lane(input_, packed)
+            lane = self._fresh_lane(packed)
             lane.join(name, packed)
         self._lane_of[name] = lane
 
-    def _fresh_lane(self, input_: Input, packed: Packed) -> Lane:
-        """A lane of this input that has seen nothing yet."""
-        sizes = {**packed.bound.frame_sizes, **self._frame_sizes}
+    def _fresh_lane(self, packed: "Packed") -> "Lane":
+        """A lane of the rule's input that has seen nothing yet."""
+        from patterns.lane import Lane, LaneInput
+
+        input_, site = LaneInput.of(packed), packed.bound.site.copy()
+        site.take(self._site)
         for lane in self._lanes:
-            if lane.input == input_ and lane.is_fresh and lane.frame_sizes == sizes and lane.has_room(packed):
+            if lane.input == input_ and lane.is_fresh and lane.site == site and lane.has_room(packed):
                 return lane
-        lane = Lane(input_, sizes, is_strict=self._is_strict)
+        lane = Lane(input_, site, is_strict=self._is_strict)
         self._lanes.append(lane)
         return lane
 
@@ -268,8 +314,7 @@ class RuleSetRun:
         if state is not None:
             run.restore(state)
         else:
-            for source, (width, height) in self._frame_sizes.items():
-                run.set_frame_size(source, width, height)
+            run.know(self._site)
         self._alone[name] = run
 
     def _check_has(self, name: str) -> None:
@@ -287,4 +332,11 @@ def merged(parts: Iterable[Mapping[str, Outcome]]) -> Outcomes:
     return whole
 
 
+def _learnt(run: RuleRun, event: EventType, stream: str, sequence: int) -> Outcome:
+    run.learn(event, stream, sequence)
+    return _NOTHING
+
+
 _NOTHING = Outcome()
+KERNEL_STATE = b"VRS2"
+"""What the state of a rule begins with that ran on the kernel."""

@@ -16,16 +16,26 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from events import CameraCalibrated, EventType, ZoneDefined, ZoneRemoved
 from patterns.bound import BoundRule
 from patterns.clock import Clock
 from patterns.durations import microseconds
 from patterns.emitter import Emitter
 from patterns.engine import Engine, Key
 from patterns.errors import StateError
-from patterns.geometry import FrameSize
+from patterns.inputs import rows_of
 from patterns.matcher import Found
-from patterns.rows import SEQUENCE, STREAM, TIME, StreamNumbers, check_envelope, encoded, in_total_order, normalised
+from patterns.rows import (
+    SEQUENCE,
+    STREAM,
+    TIME,
+    StreamNumbers,
+    check_envelope,
+    in_total_order,
+    newest_by_source,
+)
 from patterns.saved import Saved, decode, encode, partitions_from_json, partitions_to_json
+from patterns.site import Site
 from patterns.situations import EventRef, Match, Narrator, as_microseconds, event_ref, nearest_time
 from patterns.titles import Scalar
 
@@ -101,7 +111,7 @@ class RuleRun:
         rule = bound.rule
         self.bound = bound
         self.counts = Counts()
-        self._frame_sizes: dict[str, FrameSize] = dict(bound.frame_sizes)
+        self._site = bound.site.copy()
         idle = rule.time.idle
         self._clock = Clock(microseconds(rule.time.lateness), None if idle is None else microseconds(idle))
         self._streams = StreamNumbers()
@@ -111,9 +121,9 @@ class RuleRun:
         self._attach()
 
     @property
-    def input_type(self) -> str:
-        """The event type that the rule is written over."""
-        return self.bound.type
+    def input_types(self) -> frozenset[str]:
+        """The event types that the rule reads."""
+        return self.bound.types
 
     @property
     def watermark(self) -> datetime | None:
@@ -138,7 +148,25 @@ class RuleRun:
 
     def set_frame_size(self, source: str, width: int, height: int) -> None:
         """The source's frames have this size in pixels, from the next step on."""
-        self._frame_sizes[source] = (width, height)
+        self._site.frame_sizes[source] = (width, height)
+
+    def know(self, site: Site) -> None:
+        """Takes in all that another site knows, beside what was known when the rule was bound."""
+        self._site.take(site)
+
+    def learn(self, event: EventType, stream: str, sequence: int) -> None:
+        """Takes in what an event says of a camera; it holds for rows that are not final yet, and those to come.
+
+        Args:
+            event: An event of one of `patterns.site.SITE_TYPES`; others say nothing.
+            stream: Its stream, as station/source/type.
+            sequence: Its sequence there.
+
+        Raises:
+            MatchError: It says no zone, line or calibration, and the rule needs it.
+        """
+        if needs(self.bound, event, needs_calibration=self._narrator.needs_calibration):
+            self._site.learn(event, stream, sequence, self._clock.watermark_us)
 
     def push(self, rows: Rows) -> Outcome:
         """Takes rows as they arrive, of any streams. Rows of other event types only move the watermark.
@@ -193,7 +221,7 @@ class RuleRun:
             "rule": self.bound.rule.hash,
             "columns": {name: kind.name for name, kind in self.bound.columns.items()},
             "streams": self._streams.names,
-            "frame_sizes": self._frame_sizes,
+            "site": self._site.to_json(),
             "clock": self._clock.to_json(),
             "emitter": self._emitter.to_json(),
             "counts": [self.counts.rows, self.counts.late, self.counts.matches],
@@ -215,7 +243,7 @@ class RuleRun:
         if header["columns"] != {name: kind.name for name, kind in self.bound.columns.items()}:
             raise StateError("the saved state is of the same rule over other columns")
         self._streams = StreamNumbers.of(header["streams"])
-        self._frame_sizes = {source: (width, height) for source, (width, height) in header["frame_sizes"].items()}
+        self._site = Site.from_json(header["site"])
         self._clock.restore(header["clock"])
         self._emitter.restore(header["emitter"])
         self.counts = Counts(*header["counts"])
@@ -228,15 +256,14 @@ class RuleRun:
     # From arrival to release.
 
     def _attach(self) -> None:
-        self._engine = Engine(self.bound, self._frame_sizes)
+        self._engine = Engine(self.bound, self._site)
         self._narrator = Narrator(self.bound, self._engine.places, self._streams.names)
 
     def _take(self, table: pa.Table) -> tuple[EventRef, ...]:
         """Holds the rows that are in time; the others."""
-        rows = table.filter(pc.equal(table.column("type"), self.bound.type))
-        if rows.num_rows == 0:
+        rows = rows_of(self.bound.inputs, table, self._streams, self._engine.places)
+        if rows is None:
             return ()
-        rows = normalised(rows, self.bound.columns, self._streams)
         late: tuple[EventRef, ...] = ()
         if self._clock.watermark_us is not None:
             is_late = np.asarray(rows.column(TIME)) < self._clock.watermark_us
@@ -307,23 +334,17 @@ def decided_order(found: Found, names: Sequence[str]) -> tuple[Any, ...]:
     return (0, found.decided_us, 1, names[found.decided_by[0]], found.decided_by[1], *first)
 
 
+def needs(bound: BoundRule, event: EventType, *, needs_calibration: bool) -> bool:
+    """Whether the rule can have use for what the event says of a camera."""
+    shared = bound.rule.shared
+    if isinstance(event, ZoneDefined | ZoneRemoved):
+        return event.zone in shared
+    return not isinstance(event, CameraCalibrated) or bool(shared) or needs_calibration
+
+
 def as_table(rows: Rows) -> pa.Table:
     """The rows as a table."""
     return pa.Table.from_batches([rows]) if isinstance(rows, pa.RecordBatch) else rows
-
-
-def newest_by_source(table: pa.Table) -> list[tuple[str, int]]:
-    """For each source its newest time in microseconds."""
-    times = table.column("time").cast(pa.timestamp("us", table.column("time").type.tz)).cast(pa.int64()).to_numpy()
-    sources = encoded(table.column("source"))
-    if len(sources.dictionary) == 1:
-        return [(sources.dictionary[0].as_py(), int(times.max()))]
-    newest = np.full(len(sources.dictionary), np.iinfo(np.int64).min)
-    numbers = sources.indices.to_numpy()
-    np.maximum.at(newest, numbers, times)
-    used = np.bincount(numbers, minlength=len(newest)) > 0
-    named = zip(sources.dictionary.to_pylist(), newest.tolist(), used.tolist(), strict=True)
-    return [(source, time) for source, time, is_used in named if is_used]
 
 
 def wall_us(now: datetime) -> int:

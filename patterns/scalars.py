@@ -5,7 +5,7 @@ at hand, or the last row mapped to another variable; in MEASURES the last row of
 the variable, or of the match.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, NoReturn
 
@@ -20,6 +20,8 @@ from patterns.expressions import (
     Expr,
     InZone,
     Kind,
+    OneOf,
+    OnGround,
     Reference,
     Shift,
     Which,
@@ -29,9 +31,11 @@ from patterns.expressions import (
     walk,
 )
 from patterns.geometry import DIRECTIONS
+from patterns.ground import GroundValue
 from patterns.literals import VARIABLE_UNITS, interval, number
 from patterns.scope import Scope, constant
 from patterns.syntax import Scalar
+from patterns.text import did_you_mean
 from patterns.tokens import canonical_name
 from patterns.typing_rules import TypeMismatch, as_float, typed_call
 
@@ -126,7 +130,11 @@ class _Translator:
             have = ", ".join(sorted(self.scope.params)) or "none"
             message = f"{self.scope.clause}: unknown parameter :{name}; params has: {have}"
             raise self.scope.passage.error(message, self.param_offset(name))
-        return constant(self.scope.params[name])
+        value = self.scope.params[name]
+        if isinstance(value, tuple):
+            message = f"{self.scope.clause}: :{name} is a list; it stands after IN only, as in `plate IN :{name}`"
+            raise self.scope.passage.error(message, self.param_offset(name))
+        return constant(value)
 
     def param_offset(self, name: str) -> int:
         found = self.scope.passage.text.find(f":{name}", self.at)
@@ -248,14 +256,42 @@ class _Translator:
         return self.typed("and", node, bounds)
 
     def member(self, node: exp.Expression) -> Expr:
-        if node.args.get("query") or node.args.get("unnest") or node.args.get("field"):
+        field = node.args.get("field")
+        if isinstance(field, exp.Placeholder):
+            return self.one_of(node, field)
+        if node.args.get("query") or node.args.get("unnest") or field:
             self.refuse("IN with a sub-query", node)
+        items = node.expressions
+        if len(items) == 1 and isinstance(items[0], exp.Placeholder) and self.is_list(items[0]):
+            return self.one_of(node, items[0])
         value = self.expr(node.this)
         equals = [self.typed("=", node, (value, self.expr(item))) for item in node.expressions]
         result = equals[0]
         for equal in equals[1:]:
             result = self.typed("or", node, (result, equal))
         return result
+
+    def is_list(self, node: exp.Expression) -> bool:
+        return isinstance(self.scope.params.get(str(node.this or "")), tuple)
+
+    def one_of(self, node: exp.Expression, listed: exp.Expression) -> Expr:
+        """`value IN :list`."""
+        name = str(listed.this or "")
+        if name in self.scope.params and not self.is_list(listed):
+            message = f"{self.scope.clause}: IN takes a list, and the parameter :{name} is none; write IN (:{name})"
+            raise self.scope.passage.error(message, self.param_offset(name))
+        if name not in self.scope.params:
+            return self.placeholder(listed)
+        value = self.expr(node.this)
+        items = [constant(each) for each in self.scope.params[name]]
+        kinds = {value.kind, *(item.kind for item in items)} - {Kind.NULL}
+        if kinds == {Kind.INT, Kind.FLOAT}:
+            value, items = as_float(value), [Const(float(item.value or 0), Kind.FLOAT) for item in items]
+        elif len(kinds) > 1:
+            shown = " and ".join(sorted(kind.value for kind in kinds))
+            message = f"{self.scope.clause}: IN compares values of one type, got {shown}"
+            raise self.scope.passage.error(message, self.param_offset(name))
+        return OneOf(frozenset(item.value for item in items if item.value is not None), (value,))
 
     def is_null(self, node: exp.Expression) -> Expr:
         if not isinstance(node.expression, exp.Null):
@@ -284,6 +320,8 @@ class _Translator:
             return self.in_zone(node)
         if name == "CROSSES":
             return self.crosses(node)
+        if name in _GROUND:
+            return self.on_ground(node, name)
         if name in _NOT_YET:
             self.refuse(name, node)
         raise self.error(f"unknown function {node.this}; there are: {_FUNCTIONS_SHOWN}", node)
@@ -300,6 +338,11 @@ class _Translator:
         if direction not in DIRECTIONS:
             self.fail(f"unknown direction {direction!r}; there are: {', '.join(DIRECTIONS)}", arguments[5])
         return Crosses(line, direction, self.with_source(tuple(self.number(part) for part in arguments[:4])))
+
+    def on_ground(self, node: exp.Expression, name: str) -> Expr:
+        what, numbers, form = _GROUND[name]
+        arguments = self.arguments(node, form, numbers, 0)
+        return OnGround(what, self.with_source(tuple(self.number(part) for part in arguments)))
 
     def with_source(self, coordinates: tuple[Expr, ...]) -> tuple[Expr, ...]:
         """The coordinates after the source of their row, or of the row at hand where they are of several."""
@@ -319,11 +362,13 @@ class _Translator:
                 self.fail(f"wanted {form}, with names in single quotes", argument)
         return arguments
 
-    def name_in(self, node: exp.Expression, what: str, names: Mapping[str, object]) -> str:
+    def name_in(self, node: exp.Expression, what: str, names: frozenset[str]) -> str:
         name = str(node.this)
-        if name not in names:
+        if name not in names and name not in self.scope.shared:
             have = ", ".join(sorted(names)) or "none"
-            self.fail(f"unknown {what} {name!r}; {what}s has: {have}", node)
+            shared = f"; shared has: {', '.join(sorted(self.scope.shared))}" if self.scope.shared else ""
+            like = did_you_mean(name, names | self.scope.shared)
+            self.fail(f"unknown {what} {name!r}; {what}s has: {have}{shared}{like}", node)
         return name
 
     def number(self, node: exp.Expression) -> Expr:
@@ -388,7 +433,14 @@ def _named(node: exp.Expression) -> str:
 _NOT_YET = frozenset(
     ("NEXT", "CLASSIFIER", "MATCH_NUMBER", "TIMER", "RUNNING", "FINAL", "PERMUTE", "CURRENT_TIMESTAMP", "NOW")
 )
-_FUNCTIONS_SHOWN = "PREV, FIRST, LAST, COUNT, ABS, SQRT, LEAST, GREATEST, COALESCE, in_zone, crosses"
+_GROUND: dict[str, tuple[GroundValue, int, str]] = {
+    "GROUND_X": ("x", 2, "ground_x(x, y)"),
+    "GROUND_Y": ("y", 2, "ground_y(x, y)"),
+    "GROUND_SPEED": ("speed", 4, "ground_speed(x, y, vx, vy)"),
+}
+_FUNCTIONS_SHOWN = (
+    "PREV, FIRST, LAST, COUNT, ABS, SQRT, LEAST, GREATEST, COALESCE, in_zone, crosses, ground_x, ground_y, ground_speed"
+)
 _HANDLERS: dict[type[exp.Expression], Callable[[_Translator, Any], Expr]] = {
     exp.Column: _Translator.column,
     exp.Placeholder: _Translator.placeholder,

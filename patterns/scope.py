@@ -7,7 +7,7 @@ from typing import Any
 
 from patterns.durations import microseconds
 from patterns.expressions import Const, Kind
-from patterns.geometry import Line, Zone
+from patterns.quantities import Quantity
 from patterns.text import Passage
 
 
@@ -24,8 +24,9 @@ class Scope:
         own: The variable that DEFINE is defining.
         has_row: Whether there is a row at hand (DEFINE, WHERE) or a finished match (MEASURES).
         params: The rule's parameters.
-        zones: The rule's zones.
-        lines: The rule's lines.
+        zones: Names of the rule's own zones.
+        lines: Names of the rule's own lines.
+        shared: Names of the shared zones and lines that the rule uses.
     """
 
     passage: Passage
@@ -36,13 +37,16 @@ class Scope:
     own: str | None
     has_row: bool
     params: Mapping[str, Any]
-    zones: Mapping[str, Zone]
-    lines: Mapping[str, Line]
+    zones: frozenset[str]
+    lines: frozenset[str]
+    shared: frozenset[str]
 
 
 def constant(value: Any) -> Const:
     """A parameter's value as a constant."""
     if isinstance(value, timedelta):
         return Const(microseconds(value), Kind.DURATION)
+    if isinstance(value, Quantity):
+        return Const(value.value, Kind.FLOAT)
     kinds = {bool: Kind.BOOL, int: Kind.INT, float: Kind.FLOAT, str: Kind.STRING}
     return Const(value, kinds[type(value)])

@@ -5,15 +5,18 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
+from itertools import chain
 from typing import Any
 
 from patterns.bound import BoundRule, Output
-from patterns.columns import Places
 from patterns.durations import MICROSECOND
 from patterns.errors import MatchError
-from patterns.expressions import Kind
+from patterns.expressions import Crosses, InZone, Kind, OnGround, walk
+from patterns.geometry import Line, Zone
 from patterns.guards import Guard, compile_guard
 from patterns.matcher import Event, Found, runs
+from patterns.places import Places
+from patterns.site import CALIBRATION
 from patterns.titles import Scalar, filled_title
 
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
@@ -60,6 +63,8 @@ class Match:
         decided_at: The event time from which it was final: of the row that decided it, or of the
             end of its WITHIN; None: only the end of the input decided it.
         lineage: For each pattern variable that took rows, which.
+        judged_by: The events that drew what its rows were judged by: for each shared zone or line, and
+            for the calibration, under `zone:NAME`, `line:NAME` and `calibration`.
         situation_id: Its identity, see `situation_id`.
     """
 
@@ -74,6 +79,7 @@ class Match:
     last: EventRef
     decided_at: datetime | None
     lineage: dict[str, tuple[EventRange, ...]]
+    judged_by: dict[str, tuple[EventRange, ...]]
     situation_id: str
 
 
@@ -95,7 +101,9 @@ class Narrator:
 
     def __init__(self, bound: BoundRule, places: Places, stream_names: Sequence[str]) -> None:
         self.bound = bound
+        self.site = places.site
         self.stream_names = stream_names
+        self.drawn = _drawn_by_events(bound)
         self.rule_hash = bound.rule.hash
         slots = {slot: index for index, slot in enumerate(bound.slots)}
         registers = dict(bound.register_of)
@@ -103,6 +111,11 @@ class Narrator:
             (output, compile_guard(output.value, slots, registers, places))
             for output in (*bound.measures, *bound.title_columns)
         ]
+
+    @property
+    def needs_calibration(self) -> bool:
+        """Whether the rule itself asks for metres."""
+        return "calibration" in self.drawn
 
     def match(self, key: Sequence[Any], found: Found) -> Match:
         """The match as it leaves the engine."""
@@ -129,6 +142,7 @@ class Narrator:
             last=last,
             decided_at=None if found.decided_us is None else nearest_time(found.decided_us),
             lineage=self._lineage(found),
+            judged_by=self._judged_by(found),
             situation_id=situation_id(bound.rule.rule, bound.rule.version, key, first, last),
         )
 
@@ -138,6 +152,42 @@ class Narrator:
             each = EventRange(self.stream_names[stream], first, last, rows)
             ranges.setdefault(self.bound.variables[variable], []).append(each)
         return {variable: tuple(each) for variable, each in ranges.items()}
+
+    def _judged_by(self, found: Found) -> dict[str, tuple[EventRange, ...]]:
+        if not self.drawn:
+            return {}
+        streams = {self.stream_names[stream] for _, _, stream, *_ in runs(found.ending.trace)}
+        sources = {stream.split("/")[1] for stream in streams}
+        first_us, last_us = found.first[2], found.ending.event[2]
+        versions = {label: self.site.judged_by(name, sources, first_us, last_us) for label, name in self.drawn.items()}
+        if any(
+            isinstance(each.said, Zone | Line) and each.said.units == "metres" for each in chain(*versions.values())
+        ):
+            versions["calibration"] = self.site.judged_by(CALIBRATION, sources, first_us, last_us)
+        return {
+            label: tuple(EventRange(each.stream, each.sequence, each.sequence, 1) for each in found)
+            for label, found in versions.items()
+            if found
+        }
+
+
+def _drawn_by_events(bound: BoundRule) -> dict[str, str]:
+    """What the rule uses that events draw, by the label that a situation gives it."""
+    rule = bound.rule
+    drawn: dict[str, str] = {}
+    if any(each.units == "metres" for each in (*rule.zones.values(), *rule.lines.values())):
+        drawn["calibration"] = CALIBRATION
+    guards = tuple(each.guard for each in bound.conditions if each.guard is not None)
+    read = (part for each in bound.inputs for part in (*each.projected.values(), each.where) if part is not None)
+    values = tuple(each.value for each in (*bound.measures, *bound.title_columns))
+    for part in (part for expr in (*bound.predicates, *guards, *read, *values) for part in walk(expr)):
+        if isinstance(part, InZone) and part.zone in rule.shared:
+            drawn[f"zone:{part.zone}"] = part.zone
+        elif isinstance(part, Crosses) and part.line in rule.shared:
+            drawn[f"line:{part.line}"] = part.line
+        elif isinstance(part, OnGround):
+            drawn["calibration"] = CALIBRATION
+    return drawn
 
 
 def event_ref(event: Event, stream_names: Sequence[str]) -> EventRef:

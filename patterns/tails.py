@@ -48,6 +48,34 @@ class Tails:
             for name, values in held.items():
                 held[name] = values[kept]
 
+    def covers(self, reach: int, columns: Mapping[str, Kind]) -> bool:
+        """Whether these columns of so many rows are remembered."""
+        return self.reach >= reach and columns.keys() <= self.kinds.keys()
+
+    def table(self, partitions: Integers, columns: Sequence[str]) -> pa.Table:
+        """What is remembered of these partitions and columns, newest rows first; `@count` says how many."""
+        if self.reach == 0:
+            return pa.table({})
+        said = {"@count": pa.array(self.counts[partitions])}
+        for name, kind in self.kinds.items():
+            if name in columns or name in (STREAM, TIME, SEQUENCE):
+                for age in range(self.reach):
+                    is_null = self.is_null[name][partitions, age] | (self.counts[partitions] <= age)
+                    said[f"{age}/{name}"] = pa.array(self.values[name][partitions, age], arrow_type(kind), mask=is_null)
+        return pa.table(said)
+
+    def insert(self, partitions: Integers, saved: pa.Table) -> None:
+        """Remembers what `table` gave for partitions that nothing is remembered of."""
+        if self.reach == 0 or saved.num_columns == 0:
+            return
+        counts = np.minimum(saved.column("@count").to_numpy(), self.reach)
+        is_new = self.counts[partitions] == 0
+        self.counts[partitions[is_new]] = counts[is_new]
+        for name in self.kinds:
+            for age in range(self.reach):
+                if f"{age}/{name}" in saved.column_names:
+                    self._write(name, partitions, age, saved.column(f"{age}/{name}").combine_chunks(), None)
+
     def before(
         self, rows: pa.Table, partitions: Integers, bounds: Integers, order: Integers, names: Sequence[str]
     ) -> Arrived:
@@ -83,8 +111,9 @@ class Tails:
                 self._write(name, there, age, arrived.table.column(name).combine_chunks(), taken)
             rows = np.where(is_there, arrived.before[rows], -1)
 
-    def _write(self, name: str, partitions: Integers, age: int, column: Any, rows: Integers) -> None:
+    def _write(self, name: str, partitions: Integers, age: int, column: Any, rows: Integers | None) -> None:
         kind = self.kinds[name]
+        rows = np.arange(len(column)) if rows is None else rows
         if kind is Kind.STRING or column.null_count:
             column = column.take(pa.array(rows))
             self.is_null[name][partitions, age] = np.asarray(column.is_null())

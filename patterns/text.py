@@ -6,7 +6,9 @@ columns. Neither reads files nor understands what it holds.
 """
 
 from bisect import bisect_right
+from collections.abc import Iterable
 from dataclasses import dataclass
+from difflib import get_close_matches
 from functools import cached_property
 
 from patterns.errors import Place, RuleError
@@ -79,3 +81,10 @@ class Passage:
         for line in self.text.split("\n"):
             breaks.append(breaks[-1] + len(line) + 1)
         return breaks[:-1]
+
+
+def did_you_mean(written: str, known: Iterable[str]) -> str:
+    """`; did you mean 'yard'?` where a known name is like the written one, else nothing."""
+    by_folded = {name.casefold(): name for name in known}
+    like = get_close_matches(written.casefold(), by_folded, n=1)
+    return f"; did you mean {by_folded[like[0]]!r}?" if like else ""

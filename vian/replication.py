@@ -24,6 +24,7 @@ REQUEST_SECONDS_MAX = 30.0
 DEFAULT_PLAN = (
     {"stream": "*/*/situation_detected", "priority": "situations"},
     {"stream": "*/*/rule_deployed", "priority": "situations"},
+    {"stream": "*/*/rule_retired", "priority": "situations"},
     # What the points that follow rest on goes before them, and what says that there are no more, behind.
     {"stream": "*/*/video_added", "priority": "situations"},
     {"stream": "*/*/process_started", "priority": "situations"},

@@ -250,8 +250,11 @@ def test_an_optional_field_of_a_shipped_type_is_a_column_that_may_be_null() -> N
         "process_progressed.note",
         *(f"loss_recorded.{name}" for name in lost),
         *(f"plate_read.{name}" for name in ("country", "region", "candidates")),
+        "pair_distance.alignment",
         *(f"{name}.{why}" for name in ("zone_defined", "zone_removed") for why in ("author", "reason")),
         "camera_calibrated.rms_m",
         *(f"scene_changed.{name}" for name in ("dx", "dy")),
+        "rule_deployed.after_position",
+        *(f"rule_missed.{name}" for name in ("stream", "first_sequence", "last_sequence", "partition")),
     }
     assert TrackEnded.subject_field == "track_id"

@@ -150,6 +150,9 @@ UNITS = {
     **dict.fromkeys(["confidence", "_share", "_share_max"], "0 "),
     "_m": ", m;",
     "_hash": "SHA-256",
+    "_px_s": "px/s",
+    "_s": "s",
+    "alignment": "-1 to 1",
 }
 
 

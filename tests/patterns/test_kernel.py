@@ -7,12 +7,13 @@ import pytest
 from hypothesis import assume, given, note, settings
 from hypothesis import strategies as st
 
-from patterns import Outcome, PatternError, RuleRun, RuleSetRun, bind
+from patterns import Outcome, PatternError, RuleRun, RuleSetRun
 from patterns.bound import BoundRule
+from patterns.compiling import compile_kernel
 from patterns.packed import pack
 from patterns.ruleset import merged
 from tests.patterns.reference import Tree, rendered
-from tests.patterns.samples import SCHEMAS, bound_unless_empty, letter_rows, letter_rule, trees
+from tests.patterns.samples import bound_unless_empty, letter_rows, letter_rule, trees
 from tests.patterns.test_online import LATENESS_US, Record, pieces, records
 
 EXAMPLES = int(os.environ.get("VIAN_KERNEL_EXAMPLES", "150"))
@@ -27,11 +28,11 @@ CONDITIONS = [
     "CASE WHEN {1}.n > 1 THEN {0}.n = 1 WHEN {1}.n = 0 THEN TRUE ELSE {0}.n IS NULL END", "{0}.flag = {1}.flag",
     "({0}.n > 1 OR {1}.n > 1)", "{0}.n % 2 = {1}.n % 2", "ABS({0}.n - {1}.n) <= 1", "-{0}.n < LEAST({1}.n, 1)",
     "({0}.time - {1}.time) * 1.5 < INTERVAL '4' MICROSECOND", "LAST({1}.n) = PREV({0}.n)",
-     
+
 ]  # fmt: skip
 MEASURES = [
     "FIRST({0}.n) AS m1", "LAST({1}.letter) AS m2", "COUNT(*) AS m3", "{0}.v + {1}.v AS m4", "LAST(flag) AS m5",
-    "PREV({0}.letter) AS m6", "{1}.time - FIRST({0}.time) AS m7",  
+    "PREV({0}.letter) AS m6", "{1}.time - FIRST({0}.time) AS m7",
 ]  # fmt: skip
 
 
@@ -89,10 +90,20 @@ def alone(bound: BoundRule, parts: list[list[Record]]) -> Outcome | str:
         return str(error)
 
 
+@pytest.fixture(scope="module", autouse=True)
+def kernel() -> None:
+    """The kernel, compiled: half a minute, once for each change of it."""
+    compile_kernel()
+
+
+@pytest.mark.timeout(900)
 @settings(max_examples=EXAMPLES, deadline=None)
-@given(data=st.data(), rows=records(), cuts=st.lists(st.integers(0, 100), max_size=4), seed=st.integers(0, 14))
+@given(
+    data=st.data(), rows=records(), cuts=st.lists(st.integers(0, 100), max_size=4), seed=st.integers(0, 14),
+    restarts=st.sets(st.integers(0, 4), max_size=2),
+)  # fmt: skip
 def test_the_kernel_finds_what_the_general_matcher_finds(
-    data: st.DataObject, rows: list[Record], cuts: list[int], seed: int
+    data: st.DataObject, rows: list[Record], cuts: list[int], seed: int, restarts: set[int]
 ) -> None:
     bounds = [bound for at in range(3) if (bound := data.draw(rules(f"rule-{at}"))) is not None]
     assume(bounds)
@@ -100,8 +111,16 @@ def test_the_kernel_finds_what_the_general_matcher_finds(
         pack(bound)
     arriving = _with_more(sorted(rows, key=lambda row: row["us"] + row["delay"]), seed)
     parts = pieces(arriving, cuts)
-    group = RuleSetRun(bounds, is_strict=True)
-    found = merged([*(group.push(letter_rows(part)) for part in parts), group.finish()])
+    group = RuleSetRun(bounds, is_strict=True, uses_kernel=True)
+    steps = []
+    for index, part in enumerate(parts):
+        steps.append(group.push(letter_rows(part)))
+        if index in restarts and not group.failures:
+            states = {name: group.state(name) for name in group.rules}
+            group = RuleSetRun(is_strict=True, uses_kernel=True)
+            for bound in bounds:
+                group.add(bound, states[bound.rule.rule])
+    found = merged([*steps, group.finish()])
     for bound in bounds:
         name = bound.rule.rule
         wanted: Any = alone(bound, parts)

@@ -1,4 +1,4 @@
-"""`vian rules`: check rule files, and run them over the log."""
+"""`vian rules`: check and run here; each further command in a module of its own, `rules_...`."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -17,13 +17,14 @@ from patterns.rule import Rule
 from store import Projector
 from vian import options
 from vian.clock import utc_now
+from vian.commands import rules_backtest, rules_explain, rules_why_not
 from vian.errors import WorldFailed, WrongUsage
 from vian.options import opened, settings_for
 from vian.output import Output
 from vian.parts import Parts, stepping
 from vian.rules import deploy_all, files_of, load_all, misplaced
 
-app = typer.Typer(help="Check rule files, and run them over the log.", no_args_is_help=True)
+app = typer.Typer(help="Write rules, try them on what the log holds, and run them.", no_args_is_help=True)
 
 Paths = Annotated[list[Path], typer.Argument(help="Rule files, or folders of them.")]
 _STEP_SECONDS = 1.0
@@ -129,3 +130,7 @@ def run(
     if processor.failures:
         reasons = "; ".join(f"{name}: {failure}" for name, failure in processor.failures.items())
         raise WorldFailed(f"rules were set aside: {reasons}")
+
+
+for _module in (rules_backtest, rules_explain, rules_why_not):
+    _module.register(app)
