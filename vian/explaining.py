@@ -10,7 +10,6 @@ from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 from typing import Any
 
-import numpy as np
 import pyarrow as pa
 
 from events import (
@@ -27,12 +26,12 @@ from events import (
 )
 from patterns.binder import bind
 from patterns.bound import BoundRule
-from patterns.columns import ColumnEvaluator, Rows
 from patterns.errors import PatternError
+from patterns.inputs import rows_of
 from patterns.loading import parse_rule
 from patterns.places import Places
 from patterns.processor import schemas
-from patterns.rows import StreamNumbers, normalised
+from patterns.rows import SEQUENCE, StreamNumbers
 from patterns.rule import Rule
 from patterns.site import SITE_TYPES, Site
 from store import Log
@@ -213,12 +212,12 @@ def _own(rows: list[Row], wanted: int, partition: dict[str, Any], bound: BoundRu
     own = [
         row for row in rows if all(_plain(row.get(name)) == value for name, value in partition.items())
     ]  # fmt: skip
-    if len(own) <= wanted or bound is None or bound.where is None:
+    if len(own) <= wanted or bound is None:
         return own
-    table = normalised(pa.Table.from_pylist(own), bound.columns, StreamNumbers())
     places = Places(bound.rule.zones, bound.rule.lines, site)
-    passes = ColumnEvaluator(Rows(table, np.arange(len(own), dtype=np.int64)), places).truth(bound.where)
-    return [row for row, is_in in zip(own, passes, strict=True) if is_in]
+    passed = rows_of(bound.inputs, pa.Table.from_pylist(own), StreamNumbers(), places)
+    sequences = set() if passed is None else set(passed.column(SEQUENCE).to_pylist())
+    return [row for row in own if row["sequence"] in sequences]
 
 
 def _plain(value: Any) -> Any:
