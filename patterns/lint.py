@@ -7,11 +7,13 @@ from typing import Literal
 
 import pyarrow as pa
 
-from patterns.binder import bind, pattern_variables
+from patterns.binder import bind
 from patterns.bound import BoundRule
 from patterns.errors import Place, RuleError
 from patterns.expressions import Crosses, Expr, InZone, walk
 from patterns.parser import parse
+from patterns.pattern_variables import pattern_variables
+from patterns.portable import refusals
 from patterns.rule import Rule
 
 
@@ -34,7 +36,7 @@ def check(rule: Rule, schemas: Mapping[str, pa.Schema]) -> list[Finding]:
         bound = bind(rule, schemas)
     except RuleError as error:
         return [finding_of(error)]
-    return [*_unused(bound), *_undefined(bound), *_empty(bound), *_unbounded(bound), *_unchecked(bound)]
+    return [*_unused(bound), *_undefined(bound), *_empty(bound), *_unbounded(bound), *_not_portable(rule)]
 
 
 def finding_of(error: RuleError) -> Finding:
@@ -116,16 +118,17 @@ def _unbounded(bound: BoundRule) -> list[Finding]:
     return findings
 
 
-def _unchecked(bound: BoundRule) -> list[Finding]:
-    if bound.rule.profile != "portable":
+def _not_portable(rule: Rule) -> list[Finding]:
+    """What a rule that claims to be portable says that Flink SQL cannot."""
+    if rule.profile != "portable":
         return []
-    return [_warning(bound.rule, "the portable profile is not checked yet", "profile")]
+    return [Finding("error", each.message, each.place) for each in refusals(rule, parse(rule.passage("match")))]
 
 
 def _expressions(bound: BoundRule) -> tuple[Expr, ...]:
     guards = tuple(each.guard for each in bound.conditions if each.guard is not None)
-    where = () if bound.where is None else (bound.where,)
-    return (*bound.predicates, *bound.slots, *guards, *where, *(measure.value for measure in bound.measures))
+    read = [expr for each in bound.inputs for expr in (*each.projected.values(), each.where) if expr is not None]
+    return (*bound.predicates, *bound.slots, *guards, *read, *(measure.value for measure in bound.measures))
 
 
 def _warning(rule: Rule, message: str, *path: str) -> Finding:

@@ -6,9 +6,10 @@ from pathlib import Path
 from typing import Literal
 
 from patterns.binder import bind
+from patterns.expanding import expand
 from patterns.loading import load_rules, rule_files
 from patterns.parser import parse
-from patterns.processor import OpenMatches, ProcessorLimits, deploy, schemas, written
+from patterns.processor import OpenMatches, ProcessorLimits, deploy, schemas
 from patterns.rule import Rule
 from store import Log
 from vian.clock import utc_now
@@ -60,8 +61,9 @@ def misplaced(log: Log, rules: Sequence[Rule]) -> list[str]:
     heads = log.streams()
     remarks = []
     for rule in rules:
-        wanted = parse(rule.passage("match")).source_type.name.lower()
-        sources = sorted({head.stream.source for head in heads if head.stream.type == wanted})
+        types = sorted({arm.source_type.name.lower() for arm in parse(rule.passage("match")).arms})
+        wanted = " or ".join(types)
+        sources = sorted({head.stream.source for head in heads if head.stream.type in types})
         for kind, shapes in (("zone", rule.zones), ("line", rule.lines)):
             remarks += [
                 f"{rule.rule}: {kind} {name!r} is of source {shape.source}, of which this log has no {wanted}; it has: "
@@ -73,10 +75,10 @@ def misplaced(log: Log, rules: Sequence[Rule]) -> list[str]:
 
 
 def file_text(rule: Rule) -> str:
-    """The rule as a rule file: the file's own text, or what the rule says where it was changed after loading."""
-    if rule.path is not None:
+    """The rule as a rule file that needs no other: the file's own text, or the rule written out."""
+    if rule.path is not None and rule.is_whole:
         return rule.path.read_text(encoding="utf-8")
-    return written(rule)
+    return expand(rule)
 
 
 def deploy_all(

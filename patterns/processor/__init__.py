@@ -17,7 +17,6 @@ from patterns.processor.deploying import (
     rule_of,
     schemas,
     standing,
-    written,
 )
 from patterns.processor.limits import ProcessorLimits
 from patterns.processor.processor import Processor, Step
@@ -45,5 +44,4 @@ __all__ = [
     "standing",
     "stored_mark",
     "stored_state",
-    "written",
 ]

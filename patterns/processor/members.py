@@ -55,7 +55,7 @@ class Member:
     @property
     def types(self) -> frozenset[str]:
         """The event types that it reads."""
-        return frozenset({self.bound.type})
+        return self.bound.types
 
     @property
     def may_fall_idle(self) -> bool:
