@@ -35,24 +35,17 @@ from patterns.guards import constant_value
 from patterns.inputs import Readable, bind_arms
 from patterns.limits import Limits
 from patterns.parser import parse
+from patterns.pattern_variables import pattern_variables
 from patterns.program import ProgramTooLarge, Tables, compile_pattern, tabulate
 from patterns.rule import Rule
 from patterns.scalars import translate
 from patterns.scope import Scope
 from patterns.site import Site
 from patterns.syntax import (
-    Alternation,
-    Anchor,
-    Concatenation,
-    Exclusion,
     Identifier,
-    Pattern,
-    Permutation,
     Query,
-    Repetition,
     RowsPerMatch,
     Scalar,
-    Variable,
 )
 from patterns.titles import check_formats, title_fields
 
@@ -414,19 +407,6 @@ def _row_local_parts(guard: Expr) -> list[Expr]:
     if isinstance(guard, Reference | Aggregate):
         return []
     return [part for operand in operands(guard) for part in _row_local_parts(operand)]
-
-
-def pattern_variables(pattern: Pattern) -> list[Identifier]:
-    """The variables in the order in which they are written, repeats included."""
-    match pattern:
-        case Variable(name):
-            return [name]
-        case Concatenation(parts) | Alternation(parts) | Permutation(parts):
-            return [name for part in parts for name in pattern_variables(part)]
-        case Repetition(body) | Exclusion(body):
-            return pattern_variables(body)
-        case Anchor():
-            return []
 
 
 def lifted(expr: Expr) -> Expr:

@@ -7,12 +7,14 @@ from typing import Literal
 
 import pyarrow as pa
 
-from patterns.binder import bind, pattern_variables
+from patterns.binder import bind
 from patterns.bound import BoundRule
 from patterns.errors import Place, RuleError
 from patterns.expressions import Call, Crosses, Expr, InZone, walk
 from patterns.guards import constant_value
 from patterns.parser import parse
+from patterns.pattern_variables import pattern_variables
+from patterns.portable import refusals
 from patterns.rule import Rule
 
 
@@ -41,7 +43,7 @@ def check(rule: Rule, schemas: Mapping[str, pa.Schema]) -> list[Finding]:
         *_empty(bound),
         *_unbounded(bound),
         *_timed_out(bound),
-        *_unchecked(bound),
+        *_not_portable(rule),
     ]
 
 
@@ -145,10 +147,11 @@ def _duration_of(bound: BoundRule, register: int) -> int:
     return value
 
 
-def _unchecked(bound: BoundRule) -> list[Finding]:
-    if bound.rule.profile != "portable":
+def _not_portable(rule: Rule) -> list[Finding]:
+    """What a rule that claims to be portable says that Flink SQL cannot."""
+    if rule.profile != "portable":
         return []
-    return [_warning(bound.rule, "the portable profile is not checked yet", "profile")]
+    return [Finding("error", each.message, each.place) for each in refusals(rule, parse(rule.passage("match")))]
 
 
 def _expressions(bound: BoundRule) -> tuple[Expr, ...]:

@@ -18,13 +18,14 @@ from patterns.attempts import Attempts, Best, Refused, Taken
 from patterns.bound import BoundRule
 from patterns.columns import ColumnEvaluator, Rows
 from patterns.durations import MICROSECOND
-from patterns.geometry import FrameSize
+from patterns.geometry import Line, Zone
 from patterns.inputs import rows_of
 from patterns.places import Places
 from patterns.rows import SEQUENCE, STREAM, TIME, StreamNumbers, in_total_order, normalised
 from patterns.shortfalls import Judge
 from patterns.site import Site
 from patterns.situations import EventRef, Match, as_microseconds, as_python, nearest_time
+from patterns.telling import told_time
 
 ROWS_MOST = 5_000
 """Most rows of a partition that attempts are made over: those nearest to the time."""
@@ -77,7 +78,7 @@ class Past:
         rows: Rows of the rule's input in the window, in any order, with the envelope.
         late: Stream and sequence of those that came too late to take part.
         decided: The rule's matches in the window, in the order in which they were decided.
-        frame_sizes: For each source the size of its frames, (width, height) in pixels.
+        site: What the log said of the cameras.
         watermark: No row before this time is still expected; None: the input has ended, all is final.
         is_cut_before: Whether there are earlier rows than those of the window.
         is_cut_after: Whether there are later ones.
@@ -86,7 +87,7 @@ class Past:
     rows: pa.Table
     late: frozenset[tuple[str, int]] = frozenset()
     decided: Sequence[Decided] = ()
-    frame_sizes: Mapping[str, FrameSize] = field(default_factory=dict)
+    site: Site = field(default_factory=Site)
     watermark: datetime | None = None
     is_cut_before: bool = False
     is_cut_after: bool = False
@@ -168,7 +169,7 @@ class _Case:
         self.bound = bound
         self.question = question
         self.past = past
-        self.places = Places(bound.rule.zones, bound.rule.lines, Site.of(past.frame_sizes))
+        self.places = Places(bound.rule.zones, bound.rule.lines, past.site)
         self.notes: list[str] = []
 
     def answer(self) -> Answer:
@@ -210,7 +211,7 @@ class _Case:
 
     def _nobody(self, rows: pa.Table) -> str:
         question = self.question
-        begin, end = (_clock(question.at + sign * question.window) for sign in (-1, 1))
+        begin, end = (told_time(question.at + sign * question.window) for sign in (-1, 1))
         where = f" of source {question.source}" if question.source else ""
         said = f"no {' or '.join(sorted(self.bound.types))} of {question.subject!r}{where} between {begin} and {end}"
         others = self._subjects_by_distance(rows)
@@ -285,14 +286,36 @@ class _Case:
     # From the partition to the answer.
 
     def _of_partition(self, partition: _Partition) -> Answer:
+        self._note_elsewhere(partition)
         decided = [each for each in self.past.decided if dict(each.match.partition) == self._as_python(partition)]
         at_hand = next((each for each in decided if self._covers(each.match)), None)
         if at_hand is not None:
             return self._decided(at_hand, partition)
         self.notes += [
-            f"it did match from {_clock(each.match.first.time)} to {_clock(each.match.last.time)}" for each in decided
+            f"it did match from {told_time(each.match.first.time)} to {told_time(each.match.last.time)}"
+            for each in decided
         ]
         return self._attempted(partition, decided)
+
+    def _note_elsewhere(self, partition: _Partition) -> None:
+        """Notes zones and lines that no row of the partition can ever meet."""
+        sources = set(partition.table.column("source").to_pylist())
+        rule = self.bound.rule
+        shapes: dict[str, Sequence[Zone | Line]] = {
+            **{f"zone {name!r}": self.places.zones_named(name) for name in rule.zones},
+            **{f"line {name!r}": self.places.lines_named(name) for name in rule.lines},
+            **{
+                f"shared {name!r}": [*self.places.zones_named(name), *self.places.lines_named(name)]
+                for name in rule.shared
+            },
+        }
+        for what, known in shapes.items():
+            there = sorted({each.source for each in known})
+            if not sources & set(there):
+                self.notes.append(
+                    f"{what} is of source {', '.join(there) or '(none)'}, and all rows here are of "
+                    f"{', '.join(sorted(sources))}: no condition on it is ever true"
+                )
 
     def _as_python(self, partition: _Partition) -> dict[str, object]:
         return {name: as_python(value, self.bound.columns[name]) for name, value in partition.key.items()}
@@ -303,21 +326,22 @@ class _Case:
 
     def _decided(self, decided: Decided, partition: _Partition) -> Answer:
         match = decided.match
-        span = f"from {_clock(match.first.time)} to {_clock(match.last.time)}"
-        when = "at the end of the input" if match.decided_at is None else f"at {_clock(match.decided_at)}"
+        span = f"from {told_time(match.first.time)} to {told_time(match.last.time)}"
+        when = "at the end of the input" if match.decided_at is None else f"at {told_time(match.decided_at)}"
         if decided.held_by is None:
             verdict, headline = Verdict.MATCHED, f"it did match, {span}, and was a situation {when}"
         else:
             other = decided.held_by
             emit = self.bound.rule.emit
             cooldown = "for good" if emit.cooldown is None else f"for {emit.cooldown.total_seconds():g} s"
-            before = _clock(other.decided_at or other.last.time)
+            before = told_time(other.decided_at or other.last.time)
             verdict = Verdict.HELD_BACK
             headline = (
                 f"it did match, {span}, and was held back {when}: the situation of {before} holds others of its "
                 f"{', '.join(emit.once_per or self.bound.keys)} back {cooldown} (emit)"
             )
-        return Answer(verdict, headline, tuple(self.notes), match=match, partition=self._as_python(partition))
+        taken = _rows_of_match(match, partition)
+        return Answer(verdict, headline, tuple(self.notes), taken, match=match, partition=self._as_python(partition))
 
     def _attempted(self, partition: _Partition, decided: Sequence[Decided]) -> Answer:
         times_us = partition.table.column(TIME).to_pylist()
@@ -347,16 +371,16 @@ class _Case:
         watermark = self.past.watermark
         cover = next((e.match for e in decided if e.match.first.time <= end and begin <= e.match.last.time), None)
         if cover is not None:
-            other = f"{_clock(cover.first.time)} to {_clock(cover.last.time)}"
+            other = f"{told_time(cover.first.time)} to {told_time(cover.last.time)}"
             headline = (
-                f"rows from {_clock(begin)} to {_clock(end)} would match, but the match from {other} took "
+                f"rows from {told_time(begin)} to {told_time(end)} would match, but the match from {other} took "
                 f"some of them: AFTER MATCH SKIP {self.bound.skip.value}"
             )
             verdict = Verdict.COVERED
         elif watermark is not None:
             headline = (
-                f"rows from {_clock(begin)} to {_clock(end)} match, but that is not final: the watermark stands at "
-                f"{_clock(watermark)}, because a source may still send earlier events"
+                f"rows from {told_time(begin)} to {told_time(end)} match, but that is not final: the watermark "
+                f"stands at {told_time(watermark)}, because a source may still send earlier events"
             )
             verdict = Verdict.NOT_FINAL
         else:
@@ -373,15 +397,16 @@ class _Case:
 
     def _fell_short(self, best: Best, partition: _Partition) -> Answer:
         taken = () if best.thread.taken is None else self._taken_rows(best.thread.taken, partition)
-        nearest = _tried(best.refused, partition)
+        nearest = None if best.refused is None else _tried(best.refused, partition)
         is_open = best.ended_at is None and self.past.watermark is not None
         if best.ended_at is None:
-            self.notes.append(f"no further row came after {_clock(partition.event(partition.table.num_rows - 1).time)}")
-        came = f"{len(taken)} rows" if taken else "not one row"
-        headline = (
-            f"the best attempt took {came} and needed {best.missing} more; the nearest to {nearest.variable} was the "
-            f"row of {_clock(nearest.event.time)}: {'; '.join(nearest.shortfalls)}"
-        )
+            last = partition.event(partition.table.num_rows - 1)
+            self.notes.append(f"no further row came after {told_time(last.time)}")
+        came = f"{len(taken)} row{'s' if len(taken) > 1 else ''}" if taken else "not one row"
+        headline = f"the best attempt took {came} and needed {best.missing} more"
+        if nearest is not None:
+            where = f"the row of {told_time(nearest.event.time)}"
+            headline += f"; what came nearest to {nearest.variable} is {where}"
         return Answer(
             Verdict.STILL_OPEN if is_open else Verdict.FELL_SHORT,
             headline,
@@ -415,6 +440,20 @@ def _tried(refused: Refused, partition: _Partition) -> TriedRow:
     return TriedRow(partition.event(refused.row), refused.variable, tuple(map(str, refused.shortfalls)))
 
 
+def _rows_of_match(match: Match, partition: _Partition) -> tuple[TriedRow, ...]:
+    """The rows of the match that lie in the window, in order."""
+    events = [partition.event(row) for row in range(partition.table.num_rows)]
+    return tuple(
+        TriedRow(event, variable)
+        for event in events
+        for variable, ranges in match.lineage.items()
+        if any(
+            each.stream == event.stream and each.first_sequence <= event.sequence <= each.last_sequence
+            for each in ranges
+        )
+    )
+
+
 def _event_names(rows: pa.Table) -> list[tuple[str, int]]:
     columns = [rows.column(name).to_pylist() for name in ("station", "source", "type", "sequence")]
     return [
@@ -429,8 +468,3 @@ def _nearest_rows(table: pa.Table, at_us: int) -> pa.Table:
     middle = int(np.searchsorted(table.column(TIME).to_numpy(), at_us))
     begin = min(max(middle - ROWS_MOST // 2, 0), table.num_rows - ROWS_MOST)
     return table.slice(begin, ROWS_MOST).combine_chunks()
-
-
-def _clock(time: datetime) -> str:
-    """Time of day with as many digits as it needs, and the date where it is not plain."""
-    return time.isoformat().replace("+00:00", "Z")
