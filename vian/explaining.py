@@ -34,6 +34,7 @@ from patterns.processor import schemas
 from patterns.rows import SEQUENCE, StreamNumbers
 from patterns.rule import Rule
 from patterns.site import SITE_TYPES, Site
+from patterns.situations import as_python
 from store import Log
 from vian.errors import WrongUsage
 from vian.evidence.selection import SITUATION_MIN, epoch_of
@@ -187,7 +188,7 @@ def _matched(log: Log, wanted: MatchedRange, situation: Segment, bound: BoundRul
         rows += _rows(log, segment, wanted)
     matched = Matched(wanted.variable, wanted.stream, rows, list(producers))
     if not matched.is_place:
-        rows[:] = _own(rows, wanted.events, json.loads(found.event.partition), bound, found.site)
+        rows[:] = _own(rows, json.loads(found.event.partition), bound, found.site)
     if len(rows) != wanted.events:
         found.missing.append(
             f"{wanted.variable}: {wanted.stream} {wanted.first_sequence} to {wanted.last_sequence} has "
@@ -207,17 +208,21 @@ def _rows(log: Log, segment: Segment, wanted: MatchedRange) -> list[Row]:
     return list(rows.slice(begin, wanted.last_sequence - first - begin + 1).to_pylist())
 
 
-def _own(rows: list[Row], wanted: int, partition: dict[str, Any], bound: BoundRule | None, site: Site) -> list[Row]:
-    """The rows of the partition; where there are too many, those that pass the filter of FROM."""
-    own = [
-        row for row in rows if all(_plain(row.get(name)) == value for name, value in partition.items())
-    ]  # fmt: skip
-    if len(own) <= wanted or bound is None:
-        return own
+def _own(rows: list[Row], partition: dict[str, Any], bound: BoundRule | None, site: Site) -> list[Row]:
+    """The rows of the partition; where the rule is known, only those that FROM lets through."""
+    if bound is None:
+        return [row for row in rows if all(_plain(row.get(name)) == value for name, value in partition.items())]
     places = Places(bound.rule.zones, bound.rule.lines, site)
-    passed = rows_of(bound.inputs, pa.Table.from_pylist(own), StreamNumbers(), places)
-    sequences = set() if passed is None else set(passed.column(SEQUENCE).to_pylist())
-    return [row for row in own if row["sequence"] in sequences]
+    shaped = rows_of(bound.inputs, pa.Table.from_pylist(rows), StreamNumbers(), places) if rows else None
+    if shaped is None:
+        return []
+    keys = {name: [_plain(as_python(each, bound.columns[name])) for each in shaped.column(name).to_pylist()]
+            for name in partition}  # fmt: skip
+    own = {
+        sequence for at, sequence in enumerate(shaped.column(SEQUENCE).to_pylist())
+        if all(keys[name][at] == value for name, value in partition.items())
+    }  # fmt: skip
+    return [row for row in rows if row["sequence"] in own]
 
 
 def _plain(value: Any) -> Any:
