@@ -71,7 +71,7 @@ def shapes_of(rule: Rule, site: Site, source: str, size: FrameSize) -> list[Shap
     places = Places(rule.zones, rule.lines, site)
     zones = {name: places.zones_named(name) for name in (*rule.zones, *rule.shared)}
     lines = {name: places.lines_named(name) for name in (*rule.lines, *rule.shared)}
-    corners = [
+    corners: list[tuple[str, Zone | Line, tuple[Point, ...], bool]] = [
         *((name, each, each.polygon, True) for name, known in zones.items() for each in known),
         *((name, each, each.points, False) for name, known in lines.items() for each in known),
     ]
