@@ -61,7 +61,7 @@ class Backtest:
     @property
     def types(self) -> tuple[str, ...]:
         """The event types whose segments it wants."""
-        return (self.run.bound.type, *CONTROL_TYPES)
+        return (*sorted(self.run.input_types), *CONTROL_TYPES)
 
     def take(self, segment: Segment) -> Outcome:
         """What this segment, the next in order of position, leads to.
@@ -75,7 +75,7 @@ class Backtest:
             self.segments_skipped += 1
             return Outcome()
         source = segment.stream.source
-        if segment.stream.type == self.run.bound.type:
+        if segment.stream.type in self.run.input_types:
             return self.run.push(self._rows(with_envelope(segment.stream, segment.header.first_sequence, batch)))
         matches: list[Match] = []
         for sequence, event in enumerate(events_of(batch), segment.header.first_sequence):

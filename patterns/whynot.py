@@ -19,6 +19,7 @@ from patterns.bound import BoundRule
 from patterns.columns import ColumnEvaluator, Rows
 from patterns.durations import MICROSECOND
 from patterns.geometry import Line, Zone
+from patterns.inputs import rows_of
 from patterns.places import Places
 from patterns.rows import SEQUENCE, STREAM, TIME, StreamNumbers, in_total_order, normalised
 from patterns.shortfalls import Judge
@@ -156,6 +157,11 @@ class _Partition:
         return EventRef(self.streams.names[stream], sequence, nearest_time(time_us))
 
 
+def _times_us(rows: pa.Table) -> np.ndarray:
+    times: np.ndarray = rows.column("time").cast(pa.timestamp("us", "UTC")).cast(pa.int64()).to_numpy()
+    return times
+
+
 class _Case:
     """One question."""
 
@@ -171,8 +177,8 @@ class _Case:
         in_time = self._in_time(own)
         if in_time.num_rows == 0:
             return self._all_late(own)
-        passed = in_time.filter(pa.array(self._passes(in_time)))
-        if passed.num_rows == 0:
+        passed = rows_of(self.bound.inputs, in_time, StreamNumbers(), self.places)
+        if passed is None:
             return self._all_filtered(in_time)
         if passed.num_rows < in_time.num_rows:
             self.notes.append(
@@ -207,7 +213,7 @@ class _Case:
         question = self.question
         begin, end = (told_time(question.at + sign * question.window) for sign in (-1, 1))
         where = f" of source {question.source}" if question.source else ""
-        said = f"no {self.bound.type} of {question.subject!r}{where} between {begin} and {end}"
+        said = f"no {' or '.join(sorted(self.bound.types))} of {question.subject!r}{where} between {begin} and {end}"
         others = self._subjects_by_distance(rows)
         if not others:
             return f"{said}, nor of anything else"
@@ -238,19 +244,15 @@ class _Case:
             f"{lateness:g} s (time.lateness) older than the newest event of their input. Next: raise time.lateness",
         )
 
-    def _passes(self, rows: pa.Table) -> np.ndarray:
-        if self.bound.where is None:
-            return np.ones(rows.num_rows, dtype=bool)
-        return np.asarray(
-            self._evaluator(normalised(rows, self.bound.columns, StreamNumbers())).truth(self.bound.where)
-        )
-
     def _all_filtered(self, rows: pa.Table) -> Answer:
-        assert self.bound.where is not None, "without a filter all rows pass"
+        nearest_type = rows.column("type")[int(np.argmin(np.abs(_times_us(rows) - self._at_us)))].as_py()
+        arm = next(each for each in self.bound.inputs if each.type == nearest_type)
+        assert arm.where is not None, "without a filter all rows pass"
         streams = StreamNumbers()
-        table = in_total_order(normalised(rows, self.bound.columns, streams), streams)
+        rows = rows.filter(pc.equal(rows.column("type"), nearest_type))
+        table = in_total_order(normalised(rows, arm.reads, streams), streams)
         row = int(np.argmin(np.abs(table.column(TIME).to_numpy() - self._at_us)))
-        shortfalls = Judge(self.bound, self._evaluator(table)).of(self.bound.where, "", row)
+        shortfalls = Judge(self.bound, self._evaluator(table)).of(arm.where, "", row)
         nearest = TriedRow(_Partition(table, streams, {}).event(row), "WHERE", tuple(map(str, shortfalls)))
         return Answer(
             Verdict.FILTERED_OUT,
@@ -261,27 +263,25 @@ class _Case:
 
     def _partition_of(self, own: pa.Table) -> _Partition:
         keys = list(self.bound.keys)
-        streams = StreamNumbers()
-        wanted = normalised(own, self.bound.columns, streams).select(keys).group_by(keys).aggregate([]).to_pylist()
+        wanted = own.select(keys).group_by(keys).aggregate([]).to_pylist()
         if len(wanted) > 1:
             shown = "; ".join(", ".join(f"{name} {value}" for name, value in each.items()) for each in wanted)
             raise SubjectUnclear(f"{self.question.subject!r} is in {len(wanted)} partitions: {shown}")
         key = wanted[0] if wanted else {}
-        rows = self._in_partition(key)
         streams = StreamNumbers()
-        table = in_total_order(normalised(rows, self.bound.columns, streams), streams).combine_chunks()
+        table = in_total_order(self._in_partition(key, streams), streams).combine_chunks()
         return _Partition(_nearest_rows(table, self._at_us), streams, key)
 
-    def _in_partition(self, key: Mapping[str, object]) -> pa.Table:
+    def _in_partition(self, key: Mapping[str, object], streams: StreamNumbers) -> pa.Table:
         rows = self.past.rows
-        names = _event_names(rows)
-        kept = np.array([name not in self.past.late for name in names], dtype=bool) & self._passes(rows)
-        table = normalised(rows, self.bound.columns, StreamNumbers())
+        in_time = np.array([name not in self.past.late for name in _event_names(rows)], dtype=bool)
+        table = rows_of(self.bound.inputs, rows.filter(pa.array(in_time)), streams, self.places)
+        assert table is not None, "there is the row that gave the key"
         for name, value in key.items():
             column = table.column(name)
             same = pc.is_null(column) if value is None else pc.equal(column, pa.scalar(value, column.type))
-            kept &= np.asarray(pc.fill_null(same, False))
-        return rows.filter(pa.array(kept))
+            table = table.filter(pc.fill_null(same, False))
+        return table
 
     # From the partition to the answer.
 

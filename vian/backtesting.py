@@ -97,7 +97,7 @@ def decided_at(match: Match) -> datetime:
 
 def segments_of(log: Log, bound: BoundRule, span: Span) -> Iterator[Segment]:
     """What the rule is to see, in order of position; frame sizes and ends of sources from the log's beginning on."""
-    rows = log.read_all(types=[bound.type], sources=span.sources, since=span.begin)
+    rows = log.read_all(types=sorted(bound.types), sources=span.sources, since=span.begin)
     control = log.read_all(types=CONTROL_TYPES, sources=span.sources)
     return merge(rows, control, key=lambda segment: segment.position)
 
@@ -109,5 +109,5 @@ def _has_come_to(backtest: Backtest, until: datetime | None) -> bool:
 
 def _last_position(log: Log, bound: BoundRule, span: Span, position: int) -> int:
     """The last position from which a row before the span's end comes; the one at hand if there is none behind it."""
-    behind = log.read_all(position + 1, types=[bound.type], sources=span.sources, until=span.until)
+    behind = log.read_all(position + 1, types=sorted(bound.types), sources=span.sources, until=span.until)
     return max((segment.position for segment in behind), default=position)

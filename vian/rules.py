@@ -64,8 +64,9 @@ def misplaced(log: Log, rules: Sequence[Rule]) -> list[str]:
     heads = log.streams()
     remarks = []
     for rule in rules:
-        wanted = parse(rule.passage("match")).source_type.name.lower()
-        sources = sorted({head.stream.source for head in heads if head.stream.type == wanted})
+        types = sorted({arm.source_type.name.lower() for arm in parse(rule.passage("match")).arms})
+        wanted = " or ".join(types)
+        sources = sorted({head.stream.source for head in heads if head.stream.type in types})
         for kind, shapes in (("zone", rule.zones), ("line", rule.lines)):
             remarks += [
                 f"{rule.rule}: {kind} {name!r} is of source {shape.source}, of which this log has no {wanted}; it has: "

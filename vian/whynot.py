@@ -43,11 +43,11 @@ def past_of(log: Log, bound: BoundRule, question: Question) -> Past:
         outcome = backtest.take(segment)
         matches += outcome.matches
         late |= {(each.stream, each.sequence) for each in outcome.late if begin <= each.time <= end}
-        if segment.stream.type == bound.type:
+        if segment.stream.type in bound.types:
             batches += _rows(log, segment, begin, end)
             is_cut_after |= segment.header.time_max > end
     return Past(
-        rows=pa.concat_tables(batches) if batches else _nothing(log, bound),
+        rows=pa.concat_tables(batches, promote_options="default") if batches else _nothing(log, bound),
         late=frozenset(late),
         decided=[each for each in _decided(bound, matches) if _is_near(each.match, begin, end)],
         site=backtest.site,
@@ -60,7 +60,7 @@ def past_of(log: Log, bound: BoundRule, question: Question) -> Past:
 def spans_of(log: Log, bound: BoundRule, subject: str) -> list[str]:
     """For each source where the subject has events, from when to when."""
     spans: dict[str, tuple[datetime, datetime]] = {}
-    for segment in log.read_all(types=[bound.type]):
+    for segment in log.read_all(types=sorted(bound.types)):
         for rows in _rows(
             log, segment, datetime.min.replace(tzinfo=segment.recorded_at.tzinfo), segment.header.time_max
         ):
@@ -116,12 +116,13 @@ def _rows(log: Log, segment: Segment, begin: datetime, end: datetime) -> Iterato
 
 
 def _nothing(log: Log, bound: BoundRule) -> pa.Table:
-    """No rows of the rule's type."""
-    return schemas(log.catalogue)[bound.type].empty_table()
+    """No rows of the rule's types."""
+    known = schemas(log.catalogue)
+    return pa.unify_schemas([known[each] for each in sorted(bound.types)]).empty_table()
 
 
 def _earlier_segments(log: Log, bound: BoundRule, begin: datetime) -> Iterator[Segment]:
-    return log.read_all(types=[bound.type], until=begin)
+    return log.read_all(types=sorted(bound.types), until=begin)
 
 
 def _decided(bound: BoundRule, matches: list[Match]) -> list[Decided]:

@@ -95,7 +95,7 @@ def _next(log: Log, bound: BoundRule, question: Question, past: Past) -> str:
     spans = spans_of(log, bound, question.subject)
     if spans:
         return f"{question.subject!r} has events of {'; '.join(spans)}: give --at in there, or a longer --window"
-    return f"vian tail --type {bound.type} shows what there is"
+    return f"vian tail --type {min(bound.types)} shows what there is"
 
 
 # In words.
