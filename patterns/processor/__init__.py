@@ -8,7 +8,7 @@
 This package alone, of `patterns`, knows the log.
 """
 
-from patterns.processor.deploying import Retirement, Service, deploy, retire, rule_of, schemas, standing, written
+from patterns.processor.deploying import Retirement, Service, deploy, retire, rule_of, schemas, standing
 from patterns.processor.limits import ProcessorLimits
 from patterns.processor.processor import Processor, Step
 from patterns.processor.saving import stored_mark, stored_state
@@ -31,5 +31,4 @@ __all__ = [
     "standing",
     "stored_mark",
     "stored_state",
-    "written",
 ]
