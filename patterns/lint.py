@@ -11,6 +11,7 @@ from patterns.binder import bind, pattern_variables
 from patterns.bound import BoundRule
 from patterns.errors import Place, RuleError
 from patterns.expressions import Crosses, Expr, InZone, walk
+from patterns.flink import translate
 from patterns.parser import parse
 from patterns.portable import refusals
 from patterns.rule import Rule
@@ -35,7 +36,7 @@ def check(rule: Rule, schemas: Mapping[str, pa.Schema]) -> list[Finding]:
         bound = bind(rule, schemas)
     except RuleError as error:
         return [finding_of(error)]
-    return [*_unused(bound), *_undefined(bound), *_empty(bound), *_unbounded(bound), *_not_portable(rule)]
+    return [*_unused(bound), *_undefined(bound), *_empty(bound), *_unbounded(bound), *_not_portable(rule, schemas)]
 
 
 def finding_of(error: RuleError) -> Finding:
@@ -117,11 +118,18 @@ def _unbounded(bound: BoundRule) -> list[Finding]:
     return findings
 
 
-def _not_portable(rule: Rule) -> list[Finding]:
-    """What a rule that claims to be portable says that Flink SQL cannot."""
+def _not_portable(rule: Rule, schemas: Mapping[str, pa.Schema]) -> list[Finding]:
+    """What a rule that claims to be portable says that Flink SQL cannot, or understands in another way."""
     if rule.profile != "portable":
         return []
-    return [Finding("error", each.message, each.place) for each in refusals(rule, parse(rule.passage("match")))]
+    refused = refusals(rule, parse(rule.passage("match")))
+    if refused:
+        return [Finding("error", each.message, each.place) for each in refused]
+    try:
+        translate(rule, schemas, {shape.source: (1, 1) for shape in (*rule.zones.values(), *rule.lines.values())})
+    except RuleError as error:
+        return [finding_of(error)]
+    return []
 
 
 def _expressions(bound: BoundRule) -> tuple[Expr, ...]:
