@@ -16,11 +16,13 @@ import pyarrow.compute as pc
 
 from patterns.attempts import Attempts, Best, Refused, Taken
 from patterns.bound import BoundRule
-from patterns.columns import ColumnEvaluator, Places, Rows
+from patterns.columns import ColumnEvaluator, Rows
 from patterns.durations import MICROSECOND
 from patterns.geometry import FrameSize
+from patterns.places import Places
 from patterns.rows import SEQUENCE, STREAM, TIME, StreamNumbers, in_total_order, normalised
 from patterns.shortfalls import Judge
+from patterns.site import Site
 from patterns.situations import EventRef, Match, as_microseconds, as_python, nearest_time
 
 ROWS_MOST = 5_000
@@ -160,7 +162,7 @@ class _Case:
         self.bound = bound
         self.question = question
         self.past = past
-        self.places = Places(bound.rule.zones, bound.rule.lines, past.frame_sizes)
+        self.places = Places(bound.rule.zones, bound.rule.lines, Site.of(past.frame_sizes))
         self.notes: list[str] = []
 
     def answer(self) -> Answer:

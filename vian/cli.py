@@ -25,6 +25,7 @@ from vian.version import VERSION
 MODULES = {
     "demo": "demo",
     "query": "query",
+    "shell": "shell",
     "streams": "log",
     "tail": "log",
     "project": "project",

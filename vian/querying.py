@@ -10,7 +10,7 @@ PostgreSQL, so a query means the same at both doors; `events` has the envelope o
 import logging
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 
@@ -59,6 +59,10 @@ _WRITES = (
     duckdb.StatementType.ALTER,
     duckdb.StatementType.DROP,
 )
+_BY_TEXT = "query_table"
+"""The function that takes the name of a table as text."""
+_WORD = re.compile(rb"\w+|\"\w+\"|'\w+'")
+"""What can name a table of ours."""
 _GUESS = re.compile(r"\nDid you mean [^\n]*")
 
 
@@ -76,13 +80,14 @@ def query(log: Log, sql: str, scope: Scope = Scope()) -> pa.Table:
     """The answer to a DuckDB query over the log.
 
     Raises:
-        WrongUsage: The SQL is not right; the message is DuckDB's, with the place.
+        WrongUsage: The SQL is not right; the message says what, and where.
     """
     with connect(log, sql, scope) as connection:
         try:
+            _check_reads(connection.extract_statements(sql))
             return connection.execute(sql).to_arrow_table()
         except duckdb.Error as error:
-            raise _explained(error, log) from error
+            raise _explained(str(error), log) from error
 
 
 def connect(log: Log, sql: str, scope: Scope) -> duckdb.DuckDBPyConnection:
@@ -90,16 +95,21 @@ def connect(log: Log, sql: str, scope: Scope) -> duckdb.DuckDBPyConnection:
     # Nothing is downloaded at run time; what DuckDB's wheel has built in is enough.
     connection = duckdb.connect(config={"autoinstall_known_extensions": False, "python_enable_replacements": False})
     connection.execute("set timezone = 'UTC'")
-    try:
-        _check_reads(connection.extract_statements(sql))
-        names = connection.get_table_names(sql)
-    except duckdb.Error as error:
-        connection.close()
-        raise _explained(error, log) from error
-    for name in {name.lower() for name in names}:
+    for name in _named(sql):
         if (table := _table(log, name, scope)) is not None:
             connection.register(name, table)
     return connection
+
+
+def _named(sql: str) -> set[str]:
+    """The names in the text, in lower case; its tables are among them."""
+    octets = sql.encode()
+    names = set()
+    for start, kind in duckdb.tokenize(sql):
+        word = _WORD.match(octets, start)
+        if word is not None and (kind != duckdb.token_type.string_const or _BY_TEXT in sql.lower()):
+            names.add(word[0].strip(b"'\"").decode().lower())
+    return names
 
 
 def _check_reads(statements: Sequence[duckdb.Statement]) -> None:
@@ -220,9 +230,8 @@ def _streams(log: Log) -> pa.Table:
     )
 
 
-def _explained(error: duckdb.Error, log: Log) -> WrongUsage:
-    known = ", ".join(["events", "streams", *sorted(_names(log.catalogue))])
-    text, hint = str(error), ""
+def _explained(text: str, log: Log) -> WrongUsage:
+    known, hint = ", ".join(tables(log)), ""
     if "Table with name" in text:
         # DuckDB guesses among its own tables only: ours are there when the query names them.
         text, hint = _GUESS.sub("", text), f"\nTables: {known}."
@@ -231,5 +240,6 @@ def _explained(error: duckdb.Error, log: Log) -> WrongUsage:
     return WrongUsage(f"the query is not right: {text}{hint}")
 
 
-def _names(types: Iterable[type[EventType]]) -> list[str]:
-    return [event_type.type_name for event_type in types]
+def tables(log: Log) -> list[str]:
+    """The tables that a query may name."""
+    return ["events", "streams", *sorted(event_type.type_name for event_type in log.catalogue)]

@@ -62,8 +62,8 @@ def _is_logger(each: Any) -> bool:
 def run() -> Run:
     """Runs the command line in this process."""
 
-    def invoke(*arguments: object) -> Ran:
-        result = CliRunner().invoke(app, [str(each) for each in arguments])
+    def invoke(*arguments: object, typed: str | None = None) -> Ran:
+        result = CliRunner().invoke(app, [str(each) for each in arguments], input=typed)
         if result.exception is not None and not isinstance(result.exception, SystemExit):
             raise result.exception
         return Ran(result.exit_code, result.stdout, result.stderr)

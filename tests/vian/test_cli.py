@@ -48,8 +48,8 @@ def test_the_commands_are_those_that_there_should_be() -> None:
     assert {" ".join(path) for path in ALL} == {
         "archive", "archive project", "archive relocate", "archive status", "backup", "demo", "doctor", "events",
         "evidence export", "evidence verify", "extract motion", "init", "project", "project maintain",
-        "project rebuild", "project status", "psql", "query", "restore", "rules check", "rules run", "serve", "sign",
-        "station add", "streams", "sync", "tail", "upgrade", "verify",
+        "project rebuild", "project status", "psql", "query", "restore", "rules check", "rules run", "serve", "shell",
+        "sign", "station add", "streams", "sync", "tail", "upgrade", "verify",
     }  # fmt: skip
 
 

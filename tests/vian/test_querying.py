@@ -94,6 +94,7 @@ def test_the_streams_are_a_table(filled: Log) -> None:
         "with a as (from track_point) select count(*) as n from a;",
         "select (select count(*) from track_point) as n",
         "select count(*) as n from query_table('track_point')",
+        "select count(*) as n from track_point join Track_Point as other using (source, sequence)",
     ],
 )
 def test_a_table_is_found_however_it_is_named(filled: Log, sql: str) -> None:
@@ -126,6 +127,8 @@ def test_only_the_types_that_a_query_names_are_decoded(filled: Log, monkeypatch:
     assert len(seen) == 3
     assert rows(filled, "select count(*) as n from track_point", sources=["yard"]) == [{"n": 3}]
     assert len(seen) == 4
+    rows(filled, "select 'track_ended' from track_point where subject <> 'track_point' -- plate_read")
+    assert len(seen) == 7
 
 
 def test_a_type_that_is_unknown_here_has_its_envelope(make_log: Callable[..., Log]) -> None:

@@ -39,7 +39,10 @@ def register(app: typer.Typer) -> None:
 
 
 def query(
-    sql: Annotated[str, typer.Argument(help="DuckDB SQL; each event type is a table, `events` holds all envelopes.")],
+    sql: Annotated[
+        str,
+        typer.Argument(help="DuckDB SQL; each event type is a table, `events` holds all envelopes."),
+    ],
     format_: Annotated[
         Format, typer.Option("--format", help="Form of the answer: table, csv, json, parquet or arrow.")
     ] = Format.TABLE,
