@@ -17,7 +17,7 @@ from patterns.rule import Rule
 from store import Projector
 from vian import options
 from vian.clock import utc_now
-from vian.commands import rules_backtest
+from vian.commands import rules_backtest, rules_flink
 from vian.errors import WorldFailed, WrongUsage
 from vian.options import opened, settings_for
 from vian.output import Output
@@ -133,3 +133,4 @@ def run(
 
 
 rules_backtest.register(app)
+rules_flink.register(app)
