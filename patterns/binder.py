@@ -7,7 +7,7 @@ match becomes a guard over registers. Cheap: a rule is bound in milliseconds.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import pyarrow as pa
 
@@ -32,35 +32,24 @@ from patterns.expressions import (
 )
 from patterns.geometry import FrameSize
 from patterns.guards import constant_value
+from patterns.inputs import Readable, bind_arms
 from patterns.limits import Limits
 from patterns.parser import parse
+from patterns.pattern_variables import pattern_variables
 from patterns.program import ProgramTooLarge, Tables, compile_pattern, tabulate
 from patterns.rule import Rule
 from patterns.scalars import translate
 from patterns.scope import Scope
 from patterns.site import Site
 from patterns.syntax import (
-    Alternation,
-    Anchor,
-    Concatenation,
-    Exclusion,
     Identifier,
-    Pattern,
-    Permutation,
     Query,
-    Repetition,
     RowsPerMatch,
     Scalar,
-    Variable,
 )
 from patterns.titles import check_formats, title_fields
 
 PREDICATES_MOST = 63
-
-ENVELOPE = {
-    "time": Kind.TIME, "sequence": Kind.INT, "source": Kind.STRING, "station": Kind.STRING,
-    "subject": Kind.STRING, "type": Kind.STRING,
-}  # fmt: skip
 
 
 def bind(
@@ -112,7 +101,10 @@ class _Binder:
         self.clause = query.clause
         self.limits = limits
         self.parts = _Parts()
-        self.columns, self.unreadable = self.readable_columns(schemas)
+        self.variables: dict[str, str] = {}
+        self.readable = Readable({}, {})
+        self.arms = bind_arms(query.arms, schemas, query.passage, self.of_event)
+        self.readable = self.arms.readable
         shown: dict[str, str] = {}
         for name in pattern_variables(query.clause.pattern):
             shown.setdefault(name.key, name.name)
@@ -124,7 +116,6 @@ class _Binder:
         self.check_order()
         self.check_rows()
         keys = tuple(self.key(column) for column in clause.partition_by)
-        where = self.condition_of(query.where, "WHERE", None) if query.where else None
         conditions = self.conditions()
         measures = self.measures()
         title_columns = self.title_columns(measures, keys)
@@ -137,17 +128,16 @@ class _Binder:
             raise query.passage.error(f"PATTERN: {error}", clause.pattern_at) from error
         self.check_once_per(measures, keys)
         parts = self.parts
-        read = (*parts.predicates, *parts.slots, *((where,) if where is not None else ()))
+        read = (*parts.predicates, *parts.slots)
         names = sorted(column_names(read) | set(keys) | {"source"})
         bound = BoundRule(
             rule=self.rule,
-            type=query.source_type.name,
+            inputs=self.arms.inputs(names),
             variables=tuple(self.variables.values()),
             program=program,
             tables=tables,
-            columns={name: self.columns[name] for name in names},
+            columns={name: self.readable.columns[name] for name in names},
             keys=keys,
-            where=where,
             predicates=tuple(parts.predicates),
             slots=tuple(parts.slots),
             registers=tuple(parts.registers),
@@ -168,25 +158,16 @@ class _Binder:
 
     # Names.
 
-    def readable_columns(self, schemas: Mapping[str, pa.Schema]) -> tuple[dict[str, Kind], dict[str, str]]:
-        name = self.query.source_type
-        if name.name not in schemas:
-            have = ", ".join(sorted(schemas))
-            raise self.error(f"FROM: unknown event type {name.name!r}; there are: {have}", name.at)
-        readable, unreadable = dict(ENVELOPE), {}
-        for column in schemas[name.name]:
-            kind = kind_of(column.type)
-            if kind is None:
-                unreadable[column.name] = str(column.type)
-            elif column.name not in ENVELOPE:
-                readable[column.name] = kind
-        return readable, unreadable
+    def of_event(self, scalar: Scalar, clause: str, readable: Readable) -> Expr:
+        """The expression over the columns of one event, in an arm of FROM."""
+        scope = self.scope(clause, None, has_row=True)
+        return translate(scalar, replace(scope, columns=readable.columns, unreadable=readable.unreadable))
 
     def key(self, column: Identifier) -> str:
         for name in (column.name, column.name.lower()):
-            if name in self.columns:
+            if name in self.readable.columns:
                 return name
-        have = ", ".join(sorted(self.columns))
+        have = ", ".join(sorted(self.readable.columns))
         raise self.error(f"PARTITION BY: unknown column {column.name!r}; there are: {have}", column.at)
 
     def check_order(self) -> None:
@@ -217,9 +198,9 @@ class _Binder:
         return Scope(
             passage=self.query.passage,
             clause=clause,
-            columns=self.columns,
-            unreadable=self.unreadable,
-            variables=self.variables if clause != "WHERE" else {},
+            columns=self.readable.columns,
+            unreadable=self.readable.unreadable,
+            variables=self.variables,
             own=own,
             has_row=has_row,
             params=self.rule.params,
@@ -299,13 +280,13 @@ class _Binder:
         for name in title_fields(self.rule):
             if name in known:
                 continue
-            if name not in self.columns:
-                have = ", ".join(sorted(known | set(self.columns)))
+            if name not in self.readable.columns:
+                have = ", ".join(sorted(known | set(self.readable.columns)))
                 raise self.rule.error(f"title: unknown name {{{name}}}; there are: {have}", "title")
-            value = Reference(None, "last", Column(name, self.columns[name]))
+            value = Reference(None, "last", Column(name, self.readable.columns[name]))
             self.remember(value)
             outputs[name] = Output(name, value)
-        kinds = {key: self.columns[key] for key in keys}
+        kinds = {key: self.readable.columns[key] for key in keys}
         kinds |= {output.name: output.value.kind for output in (*measures, *outputs.values())}
         check_formats(self.rule, kinds)
         return tuple(outputs.values())
@@ -406,19 +387,6 @@ def _row_local_parts(guard: Expr) -> list[Expr]:
     return [part for operand in operands(guard) for part in _row_local_parts(operand)]
 
 
-def pattern_variables(pattern: Pattern) -> list[Identifier]:
-    """The variables in the order in which they are written, repeats included."""
-    match pattern:
-        case Variable(name):
-            return [name]
-        case Concatenation(parts) | Alternation(parts) | Permutation(parts):
-            return [name for part in parts for name in pattern_variables(part)]
-        case Repetition(body) | Exclusion(body):
-            return pattern_variables(body)
-        case Anchor():
-            return []
-
-
 def lifted(expr: Expr) -> Expr:
     """The expression with references around the largest parts that one row of the match decides.
 
@@ -435,16 +403,3 @@ def lifted(expr: Expr) -> Expr:
     variables, which, offset = frames.pop()
     inner = rebuilt(expr, lambda part: part.operand if isinstance(part, Reference) else part)
     return Reference(variables, which, inner, offset)
-
-
-def kind_of(arrow_type: pa.DataType) -> Kind | None:
-    """The language's type of an Arrow column; None: rules cannot read it."""
-    types = pa.types
-    if types.is_dictionary(arrow_type):
-        return kind_of(arrow_type.value_type)
-    checks = (
-        (types.is_boolean, Kind.BOOL), (types.is_integer, Kind.INT), (types.is_floating, Kind.FLOAT),
-        (types.is_string, Kind.STRING), (types.is_large_string, Kind.STRING),
-        (types.is_timestamp, Kind.TIME), (types.is_duration, Kind.DURATION),
-    )  # fmt: skip
-    return next((kind for check, kind in checks if check(arrow_type)), None)

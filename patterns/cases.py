@@ -104,13 +104,17 @@ def case_rows(bound: BoundRule, index: int) -> pa.Table:
     records: Iterable[Mapping[str, Any]] = (
         csv_records(rule.folder / case.given, passage) if isinstance(case.given, str) else case.given
     )
-    kinds = {"time": Kind.TIME, "sequence": Kind.INT, "station": Kind.STRING, "type": Kind.STRING, **bound.columns}
+    kinds = _kinds(bound, passage)
     shapes = (*rule.zones.values(), *rule.lines.values(), *case.zones.values(), *case.lines.values())
     sources = {shape.source for shape in shapes} | set(case.calibrations)
     source = sources.pop() if len(sources) == 1 else "test"
     columns: dict[str, list[Any]] = {name: [] for name in kinds}
+    only_type = next(iter(bound.types)) if len(bound.types) == 1 else None
     for number, record in enumerate(records, start=1):
-        defaults = {"sequence": number, "station": "test", "source": source, "type": bound.type}
+        if only_type is None and record.get("type") is None:
+            types = ", ".join(sorted(bound.types))
+            raise passage.error(f"row {number}: the rule reads several types, so a row says its `type`: {types}", 0)
+        defaults = {"sequence": number, "station": "test", "source": source, "type": only_type}
         for name, kind in kinds.items():
             value = record.get(name)
             try:
@@ -120,6 +124,21 @@ def case_rows(bound: BoundRule, index: int) -> pa.Table:
                 raise passage.error(message, 0) from error
     arrays = {name: pa.array(values, column_type(kinds[name])) for name, values in columns.items()}
     return pa.table(arrays)
+
+
+def _kinds(bound: BoundRule, passage: Passage) -> dict[str, Kind]:
+    """The columns of a test's rows: the envelope's, and those that any arm of FROM reads."""
+    kinds = {"time": Kind.TIME, "sequence": Kind.INT, "station": Kind.STRING, "source": Kind.STRING,
+             "type": Kind.STRING}  # fmt: skip
+    kinds |= {"rule": Kind.STRING} if any(each.situation_of for each in bound.inputs) else {}
+    for name, kind in (pair for each in bound.inputs for pair in each.reads.items()):
+        known = kinds.setdefault(name, kind)
+        if {known, kind} == {Kind.INT, Kind.FLOAT}:
+            kinds[name] = Kind.FLOAT
+        elif known is not kind:
+            message = f"column {name} is a {known.value} in one type and a {kind.value} in another"
+            raise passage.error(message, 0)
+    return kinds
 
 
 def compared(wanted: Sequence[Mapping[str, Any]], found: Sequence[Match]) -> str:

@@ -24,6 +24,7 @@ from patterns.guards import compile_guard
 from patterns.matcher import Block, Found, Machine, Matcher, Partition
 from patterns.places import Places
 from patterns.registers import Update, initial, update_of
+from patterns.registers import live_registers as _live
 from patterns.rows import SEQUENCE, STREAM, TIME, partition_codes
 from patterns.site import Site
 
@@ -80,7 +81,6 @@ class Engine:
         Raises:
             MatchError: The rule cannot go on with these rows.
         """
-        rows = self._filtered(rows)
         if rows.num_rows == 0:
             return []
         grouped = self._grouped(rows)
@@ -118,12 +118,6 @@ class Engine:
         self._keep(key, state)
 
     # From rows to columns.
-
-    def _filtered(self, rows: pa.Table) -> pa.Table:
-        if self.bound.where is None or rows.num_rows == 0:
-            return rows
-        evaluator = ColumnEvaluator(Rows(rows, np.zeros(rows.num_rows, dtype=np.int64)), self.places)
-        return rows.filter(pa.array(evaluator.truth(self.bound.where)))
 
     def _grouped(self, rows: pa.Table) -> _Grouped:
         codes = partition_codes(rows, self.bound.keys)
@@ -288,7 +282,7 @@ def machine_of(bound: BoundRule, places: Places, masks: tuple[int, ...]) -> Mach
         None if each.guard is None else compile_guard(each.guard, slots, register_of, places)
         for each in bound.conditions
     ]
-    updates = [_updates(bound.registers, variable) for variable in range(len(bound.variables))]
+    updates = [_updates(bound.registers, variable, bound.limits.listed) for variable in range(len(bound.variables))]
     return Machine(
         tables=tables,
         masks=tuple(masks[variable] for variable in tables.variables),
@@ -304,33 +298,9 @@ def machine_of(bound: BoundRule, places: Places, masks: tuple[int, ...]) -> Mach
 
 
 def live_registers(bound: BoundRule) -> tuple[tuple[int, ...], ...]:
-    """For each position the registers whose value after it can still change which match is found.
-
-    Backward data flow over the pattern's positions, to the fixed point.
-    """
-    tables = bound.tables
+    """For each position the registers whose value after it can still change which match is found."""
     reads = [_guard_reads(bound, variable) for variable in range(len(bound.variables))]
-    written = [
-        {index for index, register in enumerate(bound.registers) if register.takes(variable)}
-        for variable in range(len(bound.variables))
-    ]
-    overwritten = [
-        {index for index in each if bound.registers[index].how == "last" and not bound.registers[index].offset}
-        for each in written
-    ]
-    live: list[set[int]] = [set() for _ in tables.variables]
-    changed = True
-    while changed:
-        changed = False
-        for position in range(len(live)):
-            needed: set[int] = set()
-            for after in tables.follow[position]:
-                variable = tables.variables[after]
-                needed |= (reads[variable] | live[after]) - overwritten[variable]
-            if needed != live[position]:
-                live[position] = needed
-                changed = True
-    return tuple(tuple(sorted(each)) for each in live)
+    return _live(bound.tables, bound.registers, reads)
 
 
 def _guard_reads(bound: BoundRule, variable: int) -> set[int]:
@@ -340,7 +310,9 @@ def _guard_reads(bound: BoundRule, variable: int) -> set[int]:
     return {bound.register_of[part] for part in walk(guard) if part in bound.register_of}
 
 
-def _updates(registers: tuple[Register, ...], variable: int) -> tuple[Update, ...]:
+def _updates(registers: tuple[Register, ...], variable: int, listed_most: int) -> tuple[Update, ...]:
     return tuple(
-        update_of(index, register, variable) for index, register in enumerate(registers) if register.takes(variable)
+        update_of(index, register, variable, listed_most)
+        for index, register in enumerate(registers)
+        if register.takes(variable)
     )

@@ -7,12 +7,13 @@ from typing import Literal
 
 import pyarrow as pa
 
-from patterns.binder import bind, pattern_variables
+from patterns.binder import bind
 from patterns.bound import BoundRule
 from patterns.errors import Place, RuleError
 from patterns.expressions import Crosses, Expr, InZone, walk
 from patterns.flink import translate
 from patterns.parser import parse
+from patterns.pattern_variables import pattern_variables
 from patterns.portable import refusals
 from patterns.rule import Rule
 
@@ -134,8 +135,8 @@ def _not_portable(rule: Rule, schemas: Mapping[str, pa.Schema]) -> list[Finding]
 
 def _expressions(bound: BoundRule) -> tuple[Expr, ...]:
     guards = tuple(each.guard for each in bound.conditions if each.guard is not None)
-    where = () if bound.where is None else (bound.where,)
-    return (*bound.predicates, *bound.slots, *guards, *where, *(measure.value for measure in bound.measures))
+    read = [expr for each in bound.inputs for expr in (*each.projected.values(), each.where) if expr is not None]
+    return (*bound.predicates, *bound.slots, *guards, *read, *(measure.value for measure in bound.measures))
 
 
 def _warning(rule: Rule, message: str, *path: str) -> Finding:

@@ -302,21 +302,25 @@ class Matcher:
             attempt = attempts.pop(0)
             if attempt.ending is not None:
                 found.append(Found(attempt.event, attempt.ending, decided_us, decided_by))
-                resume = self._resume(attempt, attempt.ending)
+                resume = self.resume(attempt.ordinal, attempt.ending)
                 attempts[:] = [later for later in attempts if later.ordinal >= resume]
         return found
 
-    def _resume(self, attempt: Attempt, ending: Ending) -> int:
-        """The number of the row where the search goes on after this match."""
+    def resume(self, start: int, ending: Ending) -> int:
+        """The number of the row where the search goes on after the match that begins at row `start`.
+
+        Raises:
+            SkipError: There is none.
+        """
         skip = self.machine.skip
         if skip is SkipMode.PAST_LAST_ROW:
             return ending.ordinal + 1
         if skip is SkipMode.TO_NEXT_ROW:
-            return attempt.ordinal + 1
+            return start + 1
         target = _skip_target(ending.trace, self.machine.skip_variables, is_first=skip is SkipMode.TO_FIRST)
         if target is None:
             raise SkipError(f"AFTER MATCH SKIP {skip.value}: the variable is not in the match")
-        if target == attempt.ordinal:
+        if target == start:
             raise SkipError(f"AFTER MATCH SKIP {skip.value}: it goes to the first row of the match, for ever")
         return target
 

@@ -6,10 +6,13 @@ it can be compared and hashed.
 """
 
 from collections.abc import Callable, Sequence
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 from typing import Any
 
 from patterns.bound import Register
+from patterns.errors import LimitError
+from patterns.program import Tables
 
 Registers = tuple[Any, ...]
 
@@ -29,6 +32,7 @@ class Listed:
 
     before: "Listed | None"
     value: Any
+    length: int
 
 
 def initial(register: Register) -> Any:
@@ -40,10 +44,11 @@ def initial(register: Register) -> Any:
     return None
 
 
-def update_of(index: int, register: Register, variable: int) -> Update:
-    """How a row of this variable changes the register of this index."""
+def update_of(index: int, register: Register, variable: int, listed_most: int) -> Update:
+    """How a row of this variable changes the register of this index; `listed_most` is the limit `listed`."""
     slot = register.slot_for(variable)
-    return index, _change(register), -1 if slot is None else slot
+    change = _lists(listed_most) if register.how == "list" else _change(register)
+    return index, change, -1 if slot is None else slot
 
 
 def updated(registers: Registers, updates: tuple[Update, ...], values: Sequence[Any]) -> Registers:
@@ -52,6 +57,39 @@ def updated(registers: Registers, updates: tuple[Update, ...], values: Sequence[
     for register, change, slot in updates:
         changed[register] = change(changed[register], values[slot] if slot >= 0 else None)
     return tuple(changed)
+
+
+def live_registers(
+    tables: Tables, registers: Sequence[Register], reads: Sequence[AbstractSet[int]]
+) -> tuple[tuple[int, ...], ...]:
+    """For each position the registers whose value after it can still change which match is found.
+
+    Backward data flow over the pattern's positions, to the fixed point.
+
+    Args:
+        tables: The pattern.
+        registers: What a match remembers.
+        reads: For each variable the registers that its guard reads.
+    """
+    overwritten = [
+        {index for index, each in enumerate(registers) if each.takes(at) and each.how == "last" and not each.offset}
+        for at in range(len(reads))
+    ]
+    before: list[list[int]] = [[] for _ in tables.variables]
+    for position, following in enumerate(tables.follow[: tables.start]):
+        for after in following:
+            before[after].append(position)
+    live: list[set[int]] = [set() for _ in tables.variables]
+    changed = list(range(len(live)))
+    while changed:
+        after = changed.pop()
+        variable = tables.variables[after]
+        needed = (reads[variable] | live[after]) - overwritten[variable]
+        for position in before[after]:
+            if not needed <= live[position]:
+                live[position] |= needed
+                changed.append(position)
+    return tuple(tuple(sorted(each)) for each in live)
 
 
 def listed(register: Listed | None) -> list[Any]:
@@ -76,6 +114,19 @@ def _change(register: Register) -> Change:
     if register.how == "first":
         return _first if not offset else lambda held, value: held if len(held) > offset else (*held, value)
     return _CHANGES[register.how]
+
+
+def _lists(most: int) -> Change:
+    def append(held: Listed | None, value: Any) -> Listed:
+        length = 1 if held is None else held.length + 1
+        if length > most:
+            raise LimitError(
+                f"a partial match lists {length} values for an aggregate in DEFINE; the limit `listed` is {most}. "
+                "Use COUNT, SUM, MIN, MAX or AVG, which keep one value each"
+            )
+        return Listed(held, value, length)
+
+    return append
 
 
 def _last(held: Any, value: Any) -> Any:
@@ -104,5 +155,4 @@ _CHANGES: dict[str, Change] = {
     "sum": _sum,
     "min": _min,
     "max": _max,
-    "list": Listed,
 }

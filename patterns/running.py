@@ -23,6 +23,7 @@ from patterns.durations import microseconds
 from patterns.emitter import Emitter
 from patterns.engine import Engine, Key
 from patterns.errors import StateError
+from patterns.inputs import rows_of
 from patterns.matcher import Found
 from patterns.rows import (
     SEQUENCE,
@@ -32,7 +33,6 @@ from patterns.rows import (
     check_envelope,
     in_total_order,
     newest_by_source,
-    normalised,
 )
 from patterns.saved import Saved, decode, encode, partitions_from_json, partitions_to_json
 from patterns.site import Site
@@ -121,9 +121,9 @@ class RuleRun:
         self._attach()
 
     @property
-    def input_type(self) -> str:
-        """The event type that the rule is written over."""
-        return self.bound.type
+    def input_types(self) -> frozenset[str]:
+        """The event types that the rule reads."""
+        return self.bound.types
 
     @property
     def watermark(self) -> datetime | None:
@@ -267,10 +267,9 @@ class RuleRun:
 
     def _take(self, table: pa.Table) -> tuple[EventRef, ...]:
         """Holds the rows that are in time; the others."""
-        rows = table.filter(pc.equal(table.column("type"), self.bound.type))
-        if rows.num_rows == 0:
+        rows = rows_of(self.bound.inputs, table, self._streams, self._engine.places)
+        if rows is None:
             return ()
-        rows = normalised(rows, self.bound.columns, self._streams)
         late: tuple[EventRef, ...] = ()
         if self._clock.watermark_us is not None:
             is_late = np.asarray(rows.column(TIME)) < self._clock.watermark_us

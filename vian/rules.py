@@ -1,13 +1,11 @@
 """Rules from files into service."""
 
 from collections.abc import Sequence
-from datetime import datetime, timedelta
 from pathlib import Path
-from typing import Any
 
 import structlog
-import yaml
 
+from patterns.expanding import expand
 from patterns.loading import load_rules, rule_files
 from patterns.parser import parse
 from patterns.processor import Processor, deploy
@@ -66,8 +64,9 @@ def misplaced(log: Log, rules: Sequence[Rule]) -> list[str]:
     heads = log.streams()
     remarks = []
     for rule in rules:
-        wanted = parse(rule.passage("match")).source_type.name.lower()
-        sources = sorted({head.stream.source for head in heads if head.stream.type == wanted})
+        types = sorted({arm.source_type.name.lower() for arm in parse(rule.passage("match")).arms})
+        wanted = " or ".join(types)
+        sources = sorted({head.stream.source for head in heads if head.stream.type in types})
         for kind, shapes in (("zone", rule.zones), ("line", rule.lines)):
             remarks += [
                 f"{rule.rule}: {kind} {name!r} is of source {shape.source}, of which this log has no {wanted}; it has: "
@@ -79,10 +78,10 @@ def misplaced(log: Log, rules: Sequence[Rule]) -> list[str]:
 
 
 def file_text(rule: Rule) -> str:
-    """The rule as a rule file: the file's own text, or what the rule says where it was changed after loading."""
-    if rule.path is not None:
+    """The rule as a rule file that needs no other: the file's own text, or the rule written out."""
+    if rule.path is not None and rule.is_whole:
         return rule.path.read_text(encoding="utf-8")
-    return yaml.safe_dump(_plain(rule.model_dump(mode="python")), sort_keys=False, allow_unicode=True)
+    return expand(rule)
 
 
 def deploy_all(log: Log, station: str, rules: Sequence[Rule]) -> list[Rule]:
@@ -107,14 +106,3 @@ def processor_part(log: Log, station: str, path: Path) -> Part:
                 logger.error("rule set aside", rule=name, error=str(failure))
 
     return stepping("rules", step, log, processor.close)
-
-
-def _plain(value: Any) -> Any:
-    """The value as YAML has it: durations in seconds with their unit."""
-    if isinstance(value, dict):
-        return {key: _plain(each) for key, each in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(each) for each in value]
-    if isinstance(value, timedelta):
-        return f"{value / timedelta(milliseconds=1):g} ms"
-    return value.isoformat() if isinstance(value, datetime) else value

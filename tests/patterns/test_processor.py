@@ -23,7 +23,7 @@ from events import (
 )
 from patterns.errors import PatternError
 from patterns.loading import parse_rule
-from patterns.processor import Processor, checkpoint_name, deploy, schemas
+from patterns.processor import Processor, ProcessorLimits, deploy, schemas
 from patterns.rule import Rule
 from store import Log, LogUnavailable, Transaction
 from tests.conftest import MakeLog
@@ -96,6 +96,11 @@ def situations(log: Log) -> list[SituationDetected]:
     return found
 
 
+def missed_of(log: Log) -> list[Any]:
+    segments = log.read_all(types=["rule_missed"])
+    return [event for segment in segments for event in events_of(decode(segment, log.catalogue))]
+
+
 def heads(log: Log) -> list[tuple[str, int, bytes]]:
     return [(str(head.stream), head.sequence, head.chain_hash) for head in log.streams()]
 
@@ -151,11 +156,12 @@ def test_following_live_finds_what_running_over_history_finds(make_log: MakeLog,
 def test_a_new_processor_for_every_segment_finds_the_same(make_log: MakeLog, walked: tuple[Log, list[Any]]) -> None:
     log = make_log()
     walkers(log)
-    last = log.head()
-    while log.checkpoint(checkpoint_name(STATION, rule())).position < last:
-        processor = Processor(log, STATION, [rule()])
-        processor._subscription._limit = 1
+    position, last = 0, log.head()
+    while position < last:
+        processor = Processor(log, STATION, [rule()], limits=ProcessorLimits(segments=1))
         processor.step()
+        position = processor.position
+        processor.close()
 
     assert heads(log) == walked[1]
 
@@ -166,14 +172,13 @@ def test_running_again_over_the_same_log_appends_nothing(walked: tuple[Log, list
     assert heads(log) == before
 
 
-@pytest.mark.parametrize("fails_at", ["append", "save_checkpoint"])
+@pytest.mark.parametrize("fails_at", ["append", "save_checkpoints"])
 def test_a_commit_that_fails_is_done_again_from_the_log(
     make_log: MakeLog, walked: tuple[Log, list[Any]], monkeypatch: pytest.MonkeyPatch, fails_at: str
 ) -> None:
     log = make_log()
     walkers(log)
-    processor = Processor(log, STATION, [rule()])
-    processor._subscription._limit = 3
+    processor = Processor(log, STATION, [rule()], limits=ProcessorLimits(segments=3, save_every_events=1))
     original = getattr(Transaction, fails_at)
     calls = 0
 
@@ -200,9 +205,7 @@ def test_a_commit_that_fails_is_done_again_from_the_log(
 def test_two_processors_at_once_append_each_situation_once(make_log: MakeLog, walked: tuple[Log, list[Any]]) -> None:
     log = make_log()
     walkers(log)
-    pair = [Processor(log, STATION, [rule()]) for _ in range(2)]
-    for processor in pair:
-        processor._subscription._limit = 2
+    pair = [Processor(log, STATION, [rule()], limits=ProcessorLimits(segments=2)) for _ in range(2)]
     for _ in range(20):
         for processor in pair:
             processor.step()
@@ -293,49 +296,51 @@ def test_a_silent_source_stops_holding_the_watermark_after_the_idle_time(make_lo
     assert again.catch_up() == 0
 
 
-def test_late_events_are_counted_and_logged(make_log: MakeLog, caplog: pytest.LogCaptureFixture) -> None:
+def test_late_events_are_counted_and_recorded(make_log: MakeLog) -> None:
     log = make_log()
     add_video(log, "gate")
     say(log, "gate", point(7, 10, 20))
     say(log, "gate", point(7, 3, 80))
     processor = Processor(log, STATION, [rule()])
-    with caplog.at_level(logging.WARNING):
-        processor.catch_up()
+    processor.catch_up()
 
     assert processor.late == {"enters": 1}
-    assert "brno/gate/track_point/2 came too late" in caplog.text
+    (missed,) = missed_of(log)
+    assert (missed.rule, missed.what, missed.count, missed.stream) == (
+        "enters", "late_events", 1, "brno/gate/track_point",
+    )  # fmt: skip
+    assert (missed.first_sequence, missed.last_sequence, missed.began_at) == (2, 2, T0 + timedelta(seconds=3))
+    assert "time.lateness of the rule (1 s)" in missed.reason
 
 
 def test_a_rule_is_deployed_once_for_each_version(make_log: MakeLog) -> None:
     log = make_log()
     first, second = rule(), rule(version=2, measures="inside.x AS x")
-    texts = {"enters": "the file"}
 
-    assert deploy(log, STATION, [first], texts, T0) == [first]
-    assert deploy(log, STATION, [first], texts, T0) == []
-    assert deploy(log, STATION, [second], texts, T0) == [second]
+    assert deploy(log, STATION, [first], {}, T0) == [first]
+    assert deploy(log, STATION, [first], {}, T0) == []
+    assert deploy(log, STATION, [second], {}, T0) == [second]
     assert log.stream_head(StreamName.of(STATION, "rules", "rule_deployed")).sequence == 2
 
 
 def test_rules_that_were_deployed_before_a_restore_are_deployed_still(make_log: MakeLog) -> None:
     log = make_log()
     first, second = rule(), rule("leaves")
-    deploy(log, STATION, [first], {"enters": "the file"}, T0)
+    deploy(log, STATION, [first], {}, T0)
     with psycopg.connect(log.dsn) as owner:
         owner.execute("update log_head set epoch = 2")
     with Log(log.dsn, log.catalogue) as restored:
-        texts = {"enters": "the file", "leaves": "another"}
-        assert deploy(restored, STATION, [second], texts, T0) == [second]
-        assert deploy(restored, STATION, [first, second], texts, T0) == []
+        assert deploy(restored, STATION, [second], {}, T0) == [second]
+        assert deploy(restored, STATION, [first, second], {}, T0) == []
         with pytest.raises(PatternError, match="enters version 1 is deployed with another content"):
-            deploy(restored, STATION, [rule(measures="inside.x AS x")], texts, T0)
+            deploy(restored, STATION, [rule(measures="inside.x AS x")], {}, T0)
 
 
 def test_a_deployed_version_cannot_change(make_log: MakeLog) -> None:
     log = make_log()
-    deploy(log, STATION, [rule()], {"enters": "the file"}, T0)
+    deploy(log, STATION, [rule()], {}, T0)
     with pytest.raises(PatternError, match=r"enters version 1 is deployed with another content.*a new version"):
-        deploy(log, STATION, [rule(measures="inside.x AS x")], {"enters": "another file"}, T0)
+        deploy(log, STATION, [rule(measures="inside.x AS x")], {}, T0)
 
 
 def test_rules_may_use_every_column_of_envelope_and_type(make_log: MakeLog) -> None:

@@ -17,7 +17,7 @@ from patterns.rule import Rule
 from store import Projector
 from vian import options
 from vian.clock import utc_now
-from vian.commands import rules_backtest, rules_flink
+from vian.commands import rules_backtest, rules_explain, rules_flink, rules_why_not
 from vian.errors import WorldFailed, WrongUsage
 from vian.options import opened, settings_for
 from vian.output import Output
@@ -132,5 +132,5 @@ def run(
         raise WorldFailed(f"rules were set aside: {reasons}")
 
 
-rules_backtest.register(app)
-rules_flink.register(app)
+for _module in (rules_backtest, rules_explain, rules_flink, rules_why_not):
+    _module.register(app)

@@ -1,0 +1,33 @@
+"""Clauses over small tables, as tests write them."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import duckdb
+import pyarrow as pa
+
+from patterns.parser import parse_clause
+from patterns.recognition import recognise
+from patterns.text import Passage
+
+
+def recognised(clause: str, rows: str, columns: str = "id, value", **more: Any) -> pa.Table:
+    """What MATCH_RECOGNIZE (clause) gives for the rows, written as VALUES writes them."""
+    connection = duckdb.connect()
+    table = connection.execute(f"SELECT * FROM (VALUES {rows}) AS t({columns})").to_arrow_table()
+    connection.close()
+    return recognised_in(clause, table, **more)
+
+
+def recognised_in(clause: str, table: pa.Table, **more: Any) -> pa.Table:
+    """What MATCH_RECOGNIZE (clause) gives for the table."""
+    text = f"MATCH_RECOGNIZE ({clause})"
+    parsed, end = parse_clause(Passage.alone(text), 0)
+    assert end == len(text)
+    return recognise(parsed, table, **more)
+
+
+def tuples(table: pa.Table, *names: str) -> list[Sequence[Any]]:
+    """The rows of these columns, or of all."""
+    columns = [table.column(name).to_pylist() for name in names or table.column_names]
+    return list(zip(*columns, strict=True)) if columns else [()] * table.num_rows
