@@ -11,7 +11,7 @@ from patterns.binder import bind
 from patterns.bound import BoundRule
 from patterns.errors import Place, RuleError
 from patterns.expressions import Crosses, Expr, InZone, walk
-from patterns.flink import translate
+from patterns.flink import check as check_flink
 from patterns.parser import parse
 from patterns.pattern_variables import pattern_variables
 from patterns.portable import refusals
@@ -127,7 +127,7 @@ def _not_portable(rule: Rule, schemas: Mapping[str, pa.Schema]) -> list[Finding]
     if refused:
         return [Finding("error", each.message, each.place) for each in refused]
     try:
-        translate(rule, schemas, {shape.source: (1, 1) for shape in (*rule.zones.values(), *rule.lines.values())})
+        check_flink(rule, schemas)
     except RuleError as error:
         return [finding_of(error)]
     return []

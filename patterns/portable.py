@@ -89,6 +89,9 @@ PORTABLE: dict[str, Construct] = {
     "TIMER": Construct(True, "a second source: the setting rows shifted by the duration, in a UNION ALL"),
     "FROM with a filter": Construct(True, "a view"),
     "UNION ALL BY NAME": Construct(True, "UNION ALL of views with their columns spelled out"),
+    "situations as input": Construct(
+        False, "Flink does not know other rules' situations as events; feed it a table of them under a type of its own"
+    ),
     # Expressions.
     "operators": Construct(True, "arithmetic, comparison, AND, OR, NOT, IN, BETWEEN, IS NULL, CASE, as they are"),
     "functions": Construct(True, "ABS, LEAST, GREATEST, SQRT, COALESCE; the root of a negative number by CASE"),
@@ -117,7 +120,7 @@ PORTABLE: dict[str, Construct] = {
     "in_zone": Construct(True, "arithmetic over the polygon's edges; normalised ones with a frame size that is given"),
     "crosses": Construct(True, "arithmetic over the line's points; normalised ones with a frame size that is given"),
     "shared zone": Construct(True, "as the log says it when the script is written; after a change, write it anew"),
-    "metres": Construct(False, "Flink does not know the camera's calibration; draw the place in pixels or normalised"),
+    "metres": Construct(True, "arithmetic with the calibration that the log says when the script is written"),
     # Around the query.
     "time": Construct(True, "lateness is the watermark's, less a millisecond for ties; idle is its idle-timeout"),
     "once_per": Construct(True, "the first row of each key: ROW_NUMBER() OVER (PARTITION BY key ORDER BY time) = 1"),
@@ -126,8 +129,9 @@ PORTABLE: dict[str, Construct] = {
     ),
     "emit of matches that overlap": Construct(
         False,
-        "what `emit` lets through depends on which match was decided first, and Flink ends overlapping ones in another "
-        "order; give all matches one length, or let the first variable exclude all others",
+        "what `emit` lets through depends on which match was decided first, and Flink may end overlapping ones in "
+        "another order; give all matches one length, let the first variable exclude all others, or let the last one "
+        "ask only how long ago the first was",
     ),
     "one station": Construct(False, "a Flink script for one station has no column `station`; leave the option out"),
 }
@@ -135,7 +139,6 @@ PORTABLE: dict[str, Construct] = {
 
 _ALLOWED: tuple[type, ...] = (exp.Count, exp.Sum, exp.Min, exp.Max, exp.Avg, exp.First, exp.Last)
 _NAMED = ("NEXT", "CLASSIFIER", "MATCH_NUMBER", "RUNNING")
-_GROUND = ("GROUND_X", "GROUND_Y", "GROUND_SPEED")
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,16 +158,7 @@ def refusals(rule: Rule, query: Query) -> list[Refusal]:
     """Where the rule uses what Flink SQL does not have, in the order of the places; empty: it is portable."""
     passage = rule.passage("match")
     found = {(construct, at): passage.place(at) for construct, at in _in_clause(query)}
-    refused = [
-        Refusal(construct, place) for (construct, _), place in sorted(found.items(), key=lambda each: each[0][1])
-    ]
-    for field, shapes in (("zones", rule.zones), ("lines", rule.lines)):
-        refused += [
-            Refusal("metres", rule.passage(field, name).place(0))
-            for name, shape in shapes.items()
-            if shape.units == "metres"
-        ]
-    return refused
+    return [Refusal(construct, place) for (construct, _), place in sorted(found.items(), key=lambda each: each[0][1])]
 
 
 def _in_clause(query: Query) -> Iterator[tuple[str, int]]:
@@ -277,8 +271,6 @@ def _refused(node: exp.Expr) -> str | None:
     name = str(node.this).upper() if isinstance(node, exp.Anonymous) else type(node).__name__.upper()
     if name in _NAMED:
         return name
-    if name in _GROUND:
-        return "metres"
     if isinstance(node, exp.Distinct):
         return "DISTINCT aggregate"
     kind = type(node)

@@ -9,6 +9,7 @@ Flink looks at patterns as they complete, without going back; `elements`
 tells which patterns that makes no difference for.
 """
 
-from patterns.flink.script import Options, Script, translate
+from patterns.flink.options import Options
+from patterns.flink.script import Script, check, translate
 
-__all__ = ["Options", "Script", "translate"]
+__all__ = ["Options", "Script", "check", "translate"]

@@ -9,7 +9,7 @@ reluctant one, repeats: fewest repetitions complete first.
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from patterns.expressions import Expr
+from patterns.expressions import Call, Column, Const, Expr, Kind, Reference, is_row_local
 from patterns.flink.exclusive import exclude_each_other
 from patterns.flink.refusing import Refuse
 from patterns.syntax import Concatenation, Pattern, Repetition, Variable
@@ -124,17 +124,40 @@ def check_decided(elements: Elements, conditions: Mapping[str, Sequence[Expr]], 
                 refuse("two variables with open ends", part.at, f"{both}, and {varying.variable} varies too")
 
 
-def runs_alone(elements: Elements, conditions: Mapping[str, Sequence[Expr]]) -> bool:
-    """Whether matches end in the order in which they were decided: none begins while another is under way."""
+def ends_in_order(elements: Elements, conditions: Mapping[str, Sequence[Expr]]) -> bool:
+    """Whether matches end in the order in which they begin, so that none waits for one that began before it.
+
+    So it is where all have one length, where none can begin while another is under way, and where the
+    last row of one is the last row of every other under way: it asks only how long ago the first row was.
+    """
+    first, *others = elements.parts
     if elements.is_fixed:
         return True
-    first, *others = elements.parts
     if (first.least, first.most) != (1, 1):
         return False
+    if len(others) == 2 and others[0].most is None and (others[1].least, others[1].most) == (1, 1):
+        ending = conditions[others[1].variable]
+        if all(is_row_local(each) or _asks_how_long_ago(each, first.variable) for each in ending):
+            return True
     return all(
         exclude_each_other(conditions[first.variable], conditions[other.variable], {first.variable, other.variable})
         for other in others
     )
+
+
+def _asks_how_long_ago(expr: Expr, variable: str) -> bool:
+    """Whether the condition is that the row comes a while after the variable's."""
+    if not isinstance(expr, Call) or expr.op not in (">", ">=", "<", "<="):
+        return False
+    later, earlier = expr.operands if expr.op in (">", ">=") else expr.operands[::-1]
+    if isinstance(later, Call) and later.op == "-" and isinstance(earlier, Const):
+        later, earlier = later.operands
+    if not (isinstance(earlier, Reference) and earlier.variables == (variable,) and not earlier.offset):
+        return False
+    moved = earlier.operand
+    if isinstance(moved, Call) and moved.op in ("+", "-"):
+        moved = next((part for part in moved.operands if not isinstance(part, Const)), moved)
+    return later == moved == Column("time", Kind.TIME)
 
 
 def _followers(parts: tuple[Element, ...], at: int) -> tuple[list[Element], bool]:

@@ -6,9 +6,11 @@ about 1e-12 px, the answer may differ from the one there, which rounds later.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from patterns.flink.names import number, text
-from patterns.geometry import Direction, Points
+from patterns.geometry import Direction, FrameSize, Points
+from patterns.ground import Calibration
 
 LARGEST = "1.7976931348623157E308"
 
@@ -56,21 +58,81 @@ def crosses_line(points: Points, step: Sequence[str], direction: Direction) -> s
     return f"({meets} AND {sides})"
 
 
-def of_sources(source: str, asked: Sequence[tuple[str, str]], coordinates: Sequence[str]) -> str:
-    """The condition of each source for its rows: false for others, NULL where a coordinate is NULL or not finite.
+@dataclass(frozen=True, slots=True)
+class Ground:
+    """Where a pixel lies on the ground, in SQL: the formulae of `patterns.ground`, step by step.
+
+    Attributes:
+        calibration: Of the source.
+        scale: Pixels of the calibration's frame for one pixel here, to the right and down.
+        x: To the right, in the calibration's frame.
+        y: Down, in the calibration's frame.
+    """
+
+    calibration: Calibration
+    scale: tuple[float, float]
+    x: str
+    y: str
+
+    @classmethod
+    def of(cls, calibration: Calibration, frame_size: FrameSize | None, x: str, y: str) -> "Ground":
+        """The ground of a pixel of a frame of this size; None: of the calibration's."""
+        if frame_size is None or frame_size == calibration.frame_size:
+            return cls(calibration, (1.0, 1.0), x, y)
+        (width, height), (to_width, to_height) = frame_size, calibration.frame_size
+        scale = (to_width / width, to_height / height)
+        return cls(calibration, scale, _times(x, scale[0]), _times(y, scale[1]))
+
+    @property
+    def is_seen(self) -> str:
+        """A condition: the pixel lies below the horizon."""
+        return f"{self._mapped(2)} > 0"
+
+    @property
+    def east(self) -> str:
+        """Metres to the east."""
+        return f"({self._mapped(0)} / {self._mapped(2)})"
+
+    @property
+    def north(self) -> str:
+        """Metres to the north."""
+        return f"({self._mapped(1)} / {self._mapped(2)})"
+
+    def speed(self, vx: str, vy: str) -> str:
+        """Metres a second of a point that moves with this velocity in the picture."""
+        depth = self._mapped(2)
+        rates = [self._rate(row, _times(vx, self.scale[0]), _times(vy, self.scale[1])) for row in range(3)]
+        ways = [f"(({rates[row]} - {self._mapped(row)} / {depth} * {rates[2]}) / {depth})" for row in (0, 1)]
+        return f"SQRT({ways[0]} * {ways[0]} + {ways[1]} * {ways[1]})"
+
+    def _mapped(self, row: int) -> str:
+        return f"({self._rate(row, self.x, self.y)} + {number(self.calibration.matrix[row][2])})"
+
+    def _rate(self, row: int, x: str, y: str) -> str:
+        first, second, _ = self.calibration.matrix[row]
+        return f"({number(first)} * {x} + {number(second)} * {y})"
+
+
+def of_sources(source: str, asked: Sequence[tuple[str, str]], coordinates: Sequence[str], other: str) -> str:
+    """What is asked of each source for its rows, and NULL there where a coordinate is NULL or not finite.
 
     Args:
         source: SQL of the row's source.
-        asked: Sources, and the condition for each.
-        coordinates: SQL of all that the conditions read, of type DOUBLE.
+        asked: Sources, and the expression for each.
+        coordinates: SQL of all that the expressions read, of type DOUBLE.
+        other: SQL for the rows of other sources.
     """
     finite = " AND ".join(f"ABS({each}) <= {LARGEST}" for each in dict.fromkeys(coordinates))
     if not asked:
-        return "FALSE"
+        return other
     cases = [
         f"    WHEN {source} = {text(name)} THEN CASE WHEN {finite} THEN {condition} END" for name, condition in asked
     ]
-    return "\n".join(["CASE", *cases, "    ELSE FALSE", "END"])
+    return "\n".join(["CASE", *cases, f"    ELSE {other}", "END"])
+
+
+def _times(value: str, factor: float) -> str:
+    return value if factor == 1 else f"({value} * {number(factor)})"
 
 
 def _scaled(factor: float, value: str, origin: float) -> str:

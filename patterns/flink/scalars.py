@@ -14,9 +14,7 @@ from patterns.expressions import (
     Classifier,
     Column,
     Const,
-    Crosses,
     Expr,
-    InZone,
     Kind,
     OneOf,
     Reference,
@@ -26,7 +24,7 @@ from patterns.expressions import (
 from patterns.flink.elements import Elements
 from patterns.flink.names import constant, interval, quoted
 from patterns.flink.refusing import Refuse
-from patterns.flink.shapes import Shapes
+from patterns.flink.shapes import Placed, Shapes
 
 _INFIX = {
     "+": "+", "-": "-", "*": "*", "=": "=", "<>": "<>", "<": "<", "<=": "<=", ">": ">", ">=": ">=",
@@ -124,15 +122,15 @@ class _Writer:
             return self.reference(expr)
         if isinstance(expr, Aggregate):
             return self.aggregate(expr)
-        if isinstance(expr, InZone | Crosses):
+        if isinstance(expr, Placed):
             return self.place.shapes.sql(expr, [self.operand(part, row) for part in expr.operands])
         if isinstance(expr, OneOf):
             listed = ", ".join(sorted(constant(Const(each, expr.operands[0].kind)) for each in expr.values))
             return f"{self.operand(expr.operands[0], row)} IN ({listed})"
         if isinstance(expr, Call):
             return self.call(expr, row)
-        construct = "CLASSIFIER" if isinstance(expr, Classifier) else "metres"
-        return self.refuse(construct)
+        assert isinstance(expr, Classifier), f"no kind of expression: {expr}"
+        return self.refuse("CLASSIFIER")
 
     def operand(self, expr: Expr, row: _Row) -> str:
         written = self.text(expr, row)

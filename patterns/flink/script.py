@@ -4,31 +4,34 @@ Each step is a view on the one before, so that a reader can select from any of t
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import pyarrow as pa
 
-from patterns.binder import bind, pattern_variables
+from patterns.binder import bind
 from patterns.bound import BoundRule
 from patterns.durations import microseconds
 from patterns.errors import RuleError
-from patterns.expressions import Call, Expr, Kind, conjuncts, is_constant
-from patterns.flink.elements import check_decided, elements_of, runs_alone
+from patterns.expressions import Call, Expr, conjuncts, is_constant
+from patterns.flink.elements import check_decided, elements_of, ends_in_order
+from patterns.flink.feeding import STREAM, Feed
 from patterns.flink.holding import Held, held_sql
-from patterns.flink.names import MILLISECOND_US, interval, quoted, text
+from patterns.flink.names import MILLISECOND_US, interval, quoted
+from patterns.flink.options import Options
 from patterns.flink.refusing import Refuser, refusal
 from patterns.flink.scalars import Place, later_sql, sql
 from patterns.flink.shapes import Shapes
-from patterns.flink.tables import ROWTIME, create_table, kafka, table_columns
+from patterns.flink.tables import ROWTIME
 from patterns.geometry import FrameSize
+from patterns.ground import Calibration
 from patterns.parser import parse
+from patterns.pattern_variables import pattern_variables
 from patterns.places import Places
 from patterns.portable import refusals
 from patterns.rule import Rule
 from patterns.site import Site
 from patterns.syntax import Query, SkipMode
 
-STREAM = "stream"
 FIRED = "fired_at_ms"
 """The time attribute of a match, for further steps in event time."""
 
@@ -39,24 +42,6 @@ _TABLE = "Where the events of type {} come from. Flink's event time has millisec
 _INPUT = "The events that {} reads, as it reads them."
 _MATCHES = "{} version {}: its matches, each with its first and last event; durations are microseconds."
 _HELD = "What `emit` lets through: the first of each key{}."
-
-
-@dataclass(frozen=True, slots=True)
-class Options:
-    """How the script is to be.
-
-    Attributes:
-        source_table: A table that is there already, in place of one that is made.
-        connector: The options of the table that is made; empty: a Kafka topic to be filled in.
-        whole_milliseconds: Whether all times are whole milliseconds, the precision of Flink's event time;
-            then the script needs no more than Flink's own WITHIN.
-        one_station: Whether all events are of one station, and each source has one stream.
-    """
-
-    source_table: str | None = None
-    connector: Mapping[str, str] = field(default_factory=dict)
-    whole_milliseconds: bool = False
-    one_station: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,21 +81,32 @@ def translate(
     query = parse(rule.passage("match"))
     for refused in refusals(rule, query):
         raise RuleError(refused.message, refused.place)
-    return _Translation(bound, query, schemas[bound.type], options or Options()).script()
+    return _Translation(bound, query, schemas, options or Options()).script()
+
+
+def check(rule: Rule, schemas: Mapping[str, pa.Schema]) -> None:
+    """Looks whether there is a script for the rule, whatever its cameras are like.
+
+    Raises:
+        RuleError: As `translate`.
+    """
+    sources = {shape.source for shape in (*rule.zones.values(), *rule.lines.values())} | {"any"}
+    plain = Calibration(((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)), (1, 1))
+    site = Site.of(dict.fromkeys(sources, (1, 1)), calibrations=dict.fromkeys(sources, plain))
+    translate(rule, schemas, site=site)
 
 
 class _Translation:
     """One method for each step of the script."""
 
-    def __init__(self, bound: BoundRule, query: Query, schema: pa.Schema, options: Options) -> None:
+    def __init__(self, bound: BoundRule, query: Query, schemas: Mapping[str, pa.Schema], options: Options) -> None:
         self.bound = bound
         self.rule = bound.rule
-        self.query = query
         self.clause = query.clause
-        self.schema = schema
         self.options = options
         self.refuse = Refuser(query.passage)
         self.shapes = Shapes(bound.rule, Places(bound.rule.zones, bound.rule.lines, bound.site))
+        self.feed = Feed(bound, query, schemas, options, self.shapes, self.refuse)
         names = pattern_variables(self.clause.pattern)
         self.shown = {name.key: shown for name in reversed(names) for shown in [name.name]}
         self.elements = elements_of(self.clause.pattern, self.shown)
@@ -121,53 +117,15 @@ class _Translation:
         """The statements, in the order in which they must run."""
         name = self.rule.rule
         matches = self.matches()  # before the input, which has the zones that it asks for
-        statements = []
-        if self.options.source_table is None:
-            statements.append((_TABLE.format(self.bound.type), self.table()))
-        statements.append((_INPUT.format(name), self.input()))
+        statements = [(_TABLE.format(event_type), made) for event_type, made in self.feed.tables()]
+        view = f"CREATE TEMPORARY VIEW {quoted(self.input_name)} AS\n{self.feed.view()}"
+        statements.append((_INPUT.format(name), view))
         statements.append((_MATCHES.format(name, self.rule.version), matches))
         if self.rule.emit.once_per is None and self.rule.emit.cooldown is None:
             return Script(tuple(statements), f"{name}_matches")
         after = ", and each that comes when the cooldown is over" if self.rule.emit.cooldown is not None else ""
         statements.append((_HELD.format(after), self.situations()))
         return Script(tuple(statements), f"{name}_situations")
-
-    # The rows.
-
-    def table(self) -> str:
-        columns = table_columns(self.bound.columns, self.schema, has_stations=not self.options.one_station)
-        connector = self.options.connector or kafka(self.bound.type)
-        return create_table(self.bound.type, columns, connector, microseconds(self.rule.time.lateness))
-
-    def input(self) -> str:
-        """CREATE VIEW with the rows that the rule reads: filtered, widened, and asked for their zones."""
-        columns = [quoted(ROWTIME), "`time`", "`sequence`"]
-        if not self.has_one_stream:
-            columns.append(f"`station` || '/' || `source` || {text('/' + self.bound.type)} AS {quoted(STREAM)}")
-        columns += [self.column(name, kind) for name, kind in self.bound.columns.items()
-                    if name not in ("time", "sequence")]  # fmt: skip
-        place = Place(self.query.where.at if self.query.where else 0, self.refuse, self.shapes)
-        source = f"SELECT {', '.join(columns)}\nFROM {quoted(self.options.source_table or self.bound.type)}"
-        asked = [f"{sql(expr, place)} AS {quoted(name)}" for expr, name in self.shapes.columns.items()]
-        if asked or self.bound.where is not None:
-            source = f"SELECT {', '.join(['*', *asked])}\nFROM (\n{_indented(source)}\n)"
-        if self.bound.where is not None:
-            source = f"{source}\nWHERE {sql(self.bound.where, place)}"
-        return f"CREATE TEMPORARY VIEW {quoted(self.input_name)} AS\n{source}"
-
-    def column(self, name: str, kind: Kind) -> str:
-        if name == "type":
-            return f"{text(self.bound.type)} AS `type`"
-        if name == "station" and self.options.one_station:
-            self.refuse("one station", 0)
-        if kind in (Kind.INT, Kind.FLOAT):
-            return f"CAST({quoted(name)} AS {'DOUBLE' if kind is Kind.FLOAT else 'BIGINT'}) AS {quoted(name)}"
-        return quoted(name)
-
-    @property
-    def has_one_stream(self) -> bool:
-        """Whether all rows of a partition are of one stream, so that `sequence` orders those of one time."""
-        return self.options.one_station and "source" in self.bound.keys
 
     @property
     def input_name(self) -> str:
@@ -182,13 +140,10 @@ class _Translation:
     def matches(self) -> str:
         """CREATE VIEW with the rule's matches."""
         keys = ", ".join(quoted(name) for name in self.keys)
-        order = [ROWTIME, "time", *([] if self.has_one_stream else [STREAM]), "sequence"]
-        if self.options.whole_milliseconds:
-            order.remove("time")
         pattern = " ".join(quoted(part.variable) + part.text for part in self.elements.parts)
         clauses = [
             *([f"PARTITION BY {keys}"] if keys else []),
-            f"ORDER BY {', '.join(quoted(name) for name in order)}",
+            f"ORDER BY {', '.join(quoted(name) for name in self.feed.order)}",
             "MEASURES " + ",\n             ".join(self.measures()),
             "ONE ROW PER MATCH",
             f"AFTER MATCH SKIP {self.skip()}",
@@ -211,7 +166,7 @@ class _Translation:
         """The columns that name a match's first and last event, and its time attribute."""
         written = {}
         for which in ("first", "last"):
-            for name in ("sequence", "time") if self.has_one_stream else (STREAM, "sequence", "time"):
+            for name in ("sequence", "time") if self.feed.has_one_stream else (STREAM, "sequence", "time"):
                 written[f"{which}_{name}"] = f"{which.upper()}({quoted(name)})"
         written[FIRED] = f"MATCH_ROWTIME({quoted(ROWTIME)})"
         return written
@@ -275,7 +230,7 @@ class _Translation:
     def situations(self) -> str:
         """CREATE VIEW with the matches that `emit` lets through."""
         emit = self.rule.emit
-        if not runs_alone(self.elements, self.conditions):
+        if not ends_in_order(self.elements, self.conditions):
             raise self.rule.error(refusal("emit of matches that overlap"), "emit")
         columns = [*self.keys, *(output.name for output in self.bound.measures), *self.identity]
         once_per = self.bound.keys if emit.once_per is None else emit.once_per
@@ -289,7 +244,3 @@ class _Translation:
 def _anded(condition: Expr, place: Place) -> str:
     written = sql(condition, place)
     return f"({written})" if isinstance(condition, Call) and condition.op == "or" else written
-
-
-def _indented(block: str) -> str:
-    return "\n".join(f"    {line}" for line in block.splitlines())

@@ -10,9 +10,11 @@ from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
+import pyarrow.compute as pc
 
-from patterns import FrameSize, Rule, bind, match
+from patterns import Rule, bind, match
 from patterns.flink import Options, translate
+from patterns.site import Site
 
 ROOT = Path(__file__).parents[2]
 PYTHON = ROOT / ".flink" / "bin" / "python"
@@ -27,13 +29,13 @@ class Case:
     rule: Rule
     rows: pa.Table
     schemas: dict[str, pa.Schema]
-    frame_sizes: dict[str, FrameSize]
+    site: Site
     options: Options = field(default_factory=Options)
 
 
 def ours(case: Case) -> list[dict[str, Any]]:
     """What this engine finds, in the form that `theirs` has."""
-    bound = bind(case.rule, case.schemas, case.frame_sizes)
+    bound = bind(case.rule, case.schemas, site=case.site)
     found = []
     for each in match(bound, case.rows):
         row = {**each.partition, **each.measures}
@@ -67,7 +69,7 @@ def theirs(cases: Sequence[Case], folder: Path) -> dict[str, list[dict[str, Any]
 
 def comparable(case: Case, rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     """The rows with numbers as numbers: Java and Python write the same double differently."""
-    floats = {output.name for output in bind(case.rule, case.schemas, case.frame_sizes).measures
+    floats = {output.name for output in bind(case.rule, case.schemas, site=case.site).measures
               if output.value.kind.name == "FLOAT"}  # fmt: skip
     return [
         {name: float(value) if name in floats and value is not None else value for name, value in row.items()}
@@ -76,13 +78,15 @@ def comparable(case: Case, rows: Sequence[dict[str, Any]]) -> list[dict[str, Any
 
 
 def _job(case: Case, folder: Path) -> dict[str, Any]:
-    path = folder / "rows" / f"{case.name}.json"
-    path.parent.mkdir(exist_ok=True)
-    path.write_text("".join(f"{line}\n" for line in json_rows(case.rows)), encoding="utf-8")
-    connector = {
-        "connector": "filesystem", "path": str(path), "format": "json", "json.timestamp-format.standard": "ISO-8601",
-    }  # fmt: skip
-    script = translate(case.rule, case.schemas, case.frame_sizes, replace(case.options, connector=connector))
+    path = folder / "rows" / case.name
+    for event_type in bind(case.rule, case.schemas, site=case.site).types:
+        rows = case.rows.filter(pc.equal(case.rows.column("type"), event_type))
+        (path / event_type).mkdir(parents=True)
+        lines = [f"{line}\n" for line in json_rows(rows)]
+        (path / event_type / "rows.json").write_text("".join(lines), encoding="utf-8")
+    connector = {"connector": "filesystem", "path": f"{path}/{{type}}", "format": "json",
+                 "json.timestamp-format.standard": "ISO-8601"}  # fmt: skip
+    script = translate(case.rule, case.schemas, None, replace(case.options, connector=connector), case.site)
     return {
         "name": case.name,
         "statements": [statement for _, statement in script.statements],

@@ -9,48 +9,64 @@ import pyarrow as pa
 
 from patterns import FrameSize, Rule, bind
 from patterns.bound import BoundRule
-from patterns.expressions import Const, Expr, Kind, walk
+from patterns.expressions import Call, Column, Const, Expr, Kind, OneOf, walk
+from patterns.site import Site
 from tests.patterns.samples import BEGINNING, letter_rule
 
 FRAME: FrameSize = (1000, 1000)
 _STEPS_US = [0, 0, 1, 333, 999, 1_000, 40_000, 40_000, 33_333, 500_000, 1_000_000, 1_000_000, 3_000_000, 11_000_000]
 
 
-def frames_of(rule: Rule) -> dict[str, FrameSize]:
-    """A frame size for each source that the rule has a place in."""
-    return {shape.source: FRAME for shape in (*rule.zones.values(), *rule.lines.values())}
+def site_of(rule: Rule) -> Site:
+    """A site in which each source that the rule has a place in has a frame size."""
+    shapes = (*rule.zones.values(), *rule.lines.values())
+    return Site.of({shape.source: FRAME for shape in shapes})
 
 
-def random_rows(rule: Rule, schemas: dict[str, pa.Schema], seed: int, count: int) -> pa.Table:
+def random_rows(rule: Rule, schemas: dict[str, pa.Schema], site: Site, seed: int, count: int) -> pa.Table:
     """Rows that tie, leave gaps, come from several sources and have NULLs, sorted by time."""
     random = Random(seed)
-    bound = bind(rule, schemas, frames_of(rule))
-    pools = _pools(bound, random)
-    sources = [*sorted({shape.source for shape in (*rule.zones.values(), *rule.lines.values())}), "another", "an-other"]
-    columns: dict[str, list[Any]] = {
-        name: [] for name in (*bound.columns, "time", "sequence", "source", "station", "type")
-    }
+    bound = bind(rule, schemas, site=site)
+    kinds = {name: kind for arm in bound.inputs for name, kind in arm.reads.items()}
+    kinds |= {"time": Kind.TIME, "sequence": Kind.INT, "source": Kind.STRING, "station": Kind.STRING,
+              "type": Kind.STRING}  # fmt: skip
+    pools = _pools(bound, kinds, random)
+    own = {shape.source for shape in (*rule.zones.values(), *rule.lines.values())} | {name for name, _ in site.versions}
+    sources = [*sorted(own), *sorted(set(pools["source"]) & _named_sources(bound)), "another", "an-other"]
+    columns: dict[str, list[Any]] = {name: [] for name in kinds}
     us = 0
-    sequences = dict.fromkeys(sources, 0)
+    sequences: dict[tuple[str, str], int] = {}
     for _ in range(count):
         us += random.choice(_STEPS_US)
-        source = random.choice(sources[: 1 + (random.random() < 0.3) * 2])
-        sequences[source] += 1
-        given = {"time": BEGINNING + timedelta(microseconds=us), "sequence": sequences[source], "source": source,
-                 "station": "here", "type": bound.type}  # fmt: skip
+        source = random.choice(sources if random.random() < 0.3 else sources[:-2] or sources)
+        event_type = random.choice(sorted(bound.types))
+        sequence = sequences[source, event_type] = sequences.get((source, event_type), 0) + 1
+        given = {"time": BEGINNING + timedelta(microseconds=us), "sequence": sequence, "source": source,
+                 "station": "here", "type": event_type}  # fmt: skip
         for name, values in columns.items():
             values.append(given[name] if name in given else random.choice(pools[name]))
-    kinds = {"time": Kind.TIME, "sequence": Kind.INT, "station": Kind.STRING, "type": Kind.STRING, **bound.columns}
     return pa.table({name: pa.array(values, _arrow_type(kinds[name])) for name, values in columns.items()})
 
 
-def _pools(bound: BoundRule, random: Random) -> dict[str, list[Any]]:
+def _named_sources(bound: BoundRule) -> set[str]:
+    """Texts that the rule compares `source` with."""
+    return {
+        str(part.operands[1].value)
+        for expr in _expressions(bound) for part in walk(expr)
+        if isinstance(part, Call) and part.op == "=" and part.operands[0] == Column("source", Kind.STRING)
+        and isinstance(part.operands[1], Const)
+    }  # fmt: skip
+
+
+def _pools(bound: BoundRule, kinds: dict[str, Kind], random: Random) -> dict[str, list[Any]]:
     """For each column the values to choose from: what the rule compares with, and a few beside."""
     constants: dict[Kind, list[Any]] = {kind: [] for kind in Kind}
     for expr in _expressions(bound):
         for part in walk(expr):
             if isinstance(part, Const) and part.value is not None:
                 constants[part.kind].append(part.value)
+            if isinstance(part, OneOf):
+                constants[part.operands[0].kind] += sorted(part.values, key=str)[:5]
     numbers = sorted(set(constants[Kind.FLOAT] + [float(each) for each in constants[Kind.INT]])) or [0.0]
     # Doubles that a float32 holds, as the columns of points do.
     places = [round(random.uniform(0, 1000) * 4) / 4 for _ in range(30)] + [100.0, 550.0, 620.0, 500.0]
@@ -62,7 +78,7 @@ def _pools(bound: BoundRule, random: Random) -> dict[str, list[Any]]:
         Kind.TIME: [BEGINNING, BEGINNING + timedelta(seconds=3), None],
         Kind.DURATION: [timedelta(seconds=1), timedelta(milliseconds=1), None],
     }
-    found = {name: pools[kind] for name, kind in bound.columns.items() if name not in ("subject",)}
+    found = {name: pools[kind] for name, kind in kinds.items()}
     found["subject"] = ["one", "two", None]
     for name in ("x", "y", "x1", "x2", "y1", "y2"):
         found[name] = [*places, None]
@@ -73,8 +89,7 @@ def _expressions(bound: BoundRule) -> Iterator[Expr]:
     yield from bound.predicates
     yield from bound.slots
     yield from (each.guard for each in bound.conditions if each.guard is not None)
-    if bound.where is not None:
-        yield bound.where
+    yield from (each.where for each in bound.inputs if each.where is not None)
 
 
 def _arrow_type(kind: Kind) -> pa.DataType:

@@ -9,13 +9,15 @@ from pathlib import Path
 import pytest
 
 from events import load_catalogue
-from patterns import RuleError, load_rules
+from patterns import Rule, RuleError, load_rule, load_rules
 from patterns.binder import bind
-from patterns.cases import case_rows
+from patterns.cases import case_rows, case_site
 from patterns.flink import translate
 from patterns.processor import schemas
+from patterns.site import Site
+from patterns.template import templates
 from tests.flink.equality import PYTHON, ROOT, Case, comparable, ours, theirs
-from tests.flink.samples import frames_of, random_letters, random_rows, random_rule
+from tests.flink.samples import random_letters, random_rows, random_rule, site_of
 from tests.patterns.samples import SCHEMAS
 
 pytestmark = [
@@ -28,17 +30,18 @@ RANDOM_RULES = int(os.environ.get("VIAN_FLINK_RULES", "40"))
 """How many random rules that Flink can say are compared."""
 
 
-def _shipped(folder: Path) -> list[Case]:
+def _cases(rule: Rule) -> list[Case]:
+    """The rule with the rows of its own tests, and with random ones."""
     known = schemas(load_catalogue())
     cases = []
-    for rule in load_rules(folder):
-        for index, test in enumerate(rule.tests):
-            frames = dict(test.frames)
-            rows = case_rows(bind(rule, known, frames), index)
-            cases.append(Case(f"{rule.rule}_{index}", rule, rows, known, frames))
-        for seed in (SEED, SEED + 1):
-            rows = random_rows(rule, known, seed, 400)
-            cases.append(Case(f"{rule.rule}_random_{seed}", rule, rows, known, frames_of(rule)))
+    for index, test in enumerate(rule.tests):
+        site = site_of(rule)
+        site.take(case_site(test))
+        rows = case_rows(bind(rule, known, site=site), index)
+        cases.append(Case(f"{rule.rule}_{index}", rule, rows, known, site))
+    for seed in (SEED, SEED + 1):
+        rows = random_rows(rule, known, site, seed, 400)
+        cases.append(Case(f"{rule.rule}_random_{seed}", rule, rows, known, site))
     return cases
 
 
@@ -52,7 +55,7 @@ def _random() -> list[Case]:
             translate(rule, SCHEMAS)
         except RuleError:
             continue
-        cases.append(Case(f"random_{seed}", rule, random_letters(seed, 120), SCHEMAS, {}))
+        cases.append(Case(f"random_{seed}", rule, random_letters(seed, 120), SCHEMAS, Site()))
     return cases
 
 
@@ -78,7 +81,11 @@ def test_the_environment_is_there() -> None:
 
 
 def test_shipped_rules_find_the_same(tmp_path: Path) -> None:
-    _compared(_shipped(ROOT / "patterns" / "rules"), tmp_path)
+    _compared([case for rule in load_rules(ROOT / "patterns" / "rules") for case in _cases(rule)], tmp_path)
+
+
+def test_templates_find_the_same(tmp_path: Path) -> None:
+    _compared([case for each in templates().values() for case in _cases(load_rule(each.case_file))], tmp_path)
 
 
 def test_random_rules_find_the_same(tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ from patterns.geometry import crosses_line as ours_crosses_line
 from patterns.processor import schemas
 from patterns.site import Site
 from tests.flink.equality import ROOT
-from tests.flink.samples import frames_of
+from tests.flink.samples import site_of
 from tests.patterns.samples import SCHEMAS, letter_rule
 
 # Constants and names.
@@ -98,11 +98,11 @@ def test_a_line_as_arithmetic_is_crossed_by_the_same_steps(direction: Direction)
 
 
 def test_a_place_is_false_for_other_sources_and_unknown_for_points_that_are_none() -> None:
-    condition = of_sources("source", [("cam-01", "x > 0")], ["x"])
+    condition = of_sources("source", [("cam-01", "x > 0")], ["x"], "FALSE")
     rows = "(VALUES ('cam-01', 1.0), ('cam-02', 1.0), ('cam-01', 'NaN'::DOUBLE), ('cam-01', NULL), (NULL, 1.0))"
     found = duckdb.sql(f"SELECT {condition} FROM {rows} AS rows(source, x)").fetchall()
     assert [each for (each,) in found] == [True, False, None, None, False]
-    assert of_sources("source", [], ["x"]) == "FALSE"
+    assert of_sources("source", [], ["x"], "FALSE") == "FALSE"
 
 
 # Conditions that exclude each other.
@@ -201,7 +201,9 @@ def test_a_measure_cannot_bear_a_name_that_the_result_has() -> None:
 
 
 def test_emit_is_refused_where_matches_overlap() -> None:
-    rule = _rule("A B* C", LETTERS | {"C": "letter = 'a'"}, skip="TO NEXT ROW", more="emit: {cooldown: 1 min}")
+    rule = _rule(
+        "A B* C", LETTERS | {"C": "letter = 'a' AND C.n > A.n"}, skip="TO NEXT ROW", more="emit: {cooldown: 1 min}"
+    )
     with pytest.raises(RuleError, match="portable: emit of matches that overlap"):
         translate(rule, SCHEMAS)
 
@@ -274,4 +276,4 @@ def test_shared_zones_are_said_as_the_site_has_them_now() -> None:
 def test_every_shipped_rule_has_a_script() -> None:
     known = schemas(load_catalogue())
     for rule in load_rules(ROOT / "patterns" / "rules"):
-        assert translate(rule, known, frames_of(rule)).text.count("CREATE ") >= 3
+        assert translate(rule, known, site=site_of(rule)).text.count("CREATE ") >= 3

@@ -42,12 +42,17 @@ def flink(
         typer.Option(
             "--with",
             metavar="KEY=VALUE",
-            help="An option of the table that is made; repeatable.",
+            help="An option of a table that is made, {type} in it stands for the event type; repeatable.",
             show_default="a Kafka topic to be filled in",
         ),
     ] = None,
     source_table: Annotated[
-        str | None, typer.Option("--source-table", help="A table that the cluster has, in place of one that is made.")
+        list[str] | None,
+        typer.Option(
+            "--source-table",
+            metavar="TYPE=TABLE",
+            help="A table that the cluster has, in place of one that is made for the event type; repeatable.",
+        ),
     ] = None,
     whole_milliseconds: Annotated[
         bool, typer.Option("--whole-milliseconds", help="All times are whole milliseconds: a simpler script.")
@@ -63,14 +68,13 @@ def flink(
 
     With --data-dir or --dsn, frame sizes and shared zones are what the log says of them now.
     """
-    if source_table is not None and connector:
-        raise WrongUsage("give either --source-table or --with, got both: a table that is there has its connector")
     settings = settings_for(data_dir, dsn)
     wanted, site = rule_file(rule), Site()
     if wanted is None or data_dir is not None or settings.dsn is not None:
         with opened(settings, data_dir=data_dir) as log:
             wanted, site = chosen_rule(log, rule), _site(log)
-    chosen = Options(source_table, _pairs(connector), whole_milliseconds, one_station)
+    tables = _pairs("--source-table", source_table, "track_point=points")
+    chosen = Options(tables, _pairs("--with", connector, "connector=filesystem"), whole_milliseconds, one_station)
     script = translate(wanted, schemas(load_catalogue()), _frame_sizes(frame_size), chosen, site)
     statements = [{"why": why, "sql": statement} for why, statement in script.statements]
     output = Output(is_json=as_json)
@@ -101,11 +105,11 @@ def _frame_sizes(given: Sequence[str] | None) -> dict[str, FrameSize]:
     return sizes
 
 
-def _pairs(given: Sequence[str] | None) -> dict[str, str]:
+def _pairs(option: str, given: Sequence[str] | None, example: str) -> dict[str, str]:
     pairs = {}
     for each in given or ():
         key, equals, value = each.partition("=")
         if not (key and equals):
-            raise WrongUsage(f"--with is KEY=VALUE, as in connector=filesystem; got {each!r}")
+            raise WrongUsage(f"{option} wants a name, = and a value, as in {example}; got {each!r}")
         pairs[key] = value
     return pairs

@@ -32,7 +32,7 @@ def test_options_of_the_table_stand_in_it(run: Run) -> None:
 
 
 def test_a_table_that_is_there_is_not_made(run: Run) -> None:
-    ran = run("rules", "flink", ZONE, *SIZE, "--source-table", "points")
+    ran = run("rules", "flink", ZONE, *SIZE, "--source-table", "track_point=points")
     assert "CREATE TABLE" not in ran.out
     assert "FROM `points`" in ran.out
 
@@ -59,8 +59,11 @@ def test_a_deployed_rule_and_frame_sizes_are_the_log_s(log: Log, run: Run) -> No
     [
         ((ZONE,), "'restricted' is in normalised coordinates, and the frame size of 'cam-01' is not known"),
         ((ZONE, "--frame-size", "cam-01"), "--frame-size is SOURCE=WIDTHxHEIGHT, as in cam-01=1920x1080; got 'cam-01'"),
-        ((ZONE, *SIZE, "--with", "kafka"), "--with is KEY=VALUE, as in connector=filesystem; got 'kafka'"),
-        ((ZONE, *SIZE, "--with", "a=b", "--source-table", "t"), "give either --source-table or --with, got both"),
+        (
+            (ZONE, *SIZE, "--with", "kafka"),
+            "--with wants a name, = and a value, as in connector=filesystem; got 'kafka'",
+        ),
+        ((ZONE, *SIZE, "--source-table", "t"), "--source-table wants a name, = and a value, as in track_point=points"),
         (("missing.yaml",), "the rule file missing.yaml cannot be read: No such file or directory"),
     ],
 )
