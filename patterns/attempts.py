@@ -70,14 +70,14 @@ class Best:
     Attributes:
         thread: How far it had come.
         missing: How many more rows it needed at least.
-        refused: The row that came nearest to taking it further.
+        refused: The row that came nearest to taking it further; None: no row came that could have.
         ended: The rows' end, or what the row at which it ended was refused as; empty: it is still open.
         ended_at: That row; None: there was no further row.
     """
 
     thread: Thread
     missing: int
-    refused: Refused
+    refused: Refused | None
     ended: tuple[Refused, ...]
     ended_at: int | None
 
@@ -131,6 +131,9 @@ class Attempts:
             thread.taken for thread in threads
             if self.has_ended and thread.taken is not None and self.machine.tables.accepts_end[thread.place]
         ]  # fmt: skip
+        open_ = min(threads, key=lambda thread: self.missing[thread.place], default=None)
+        if open_ is not None and (self._nearest is None or self.missing[open_.place] < self._nearest[0][0]):
+            return Best(open_, self.missing[open_.place], None, (), None)
         if self._nearest is None:
             return None
         _, thread, refused = self._nearest

@@ -1,13 +1,14 @@
 """A backtest: the situations that a rule would have emitted over segments of the log, appending nothing.
 
 Contract: the segments come in order of position, each as one whole, as the processor gives them to a
-rule; so `drafts_of` its matches are, byte for byte, what the processor would have appended. A row before
+rule; so the drafts of its matches are, byte for byte, what the processor would have appended. A row before
 `since` does not exist for the rule: it is as if it had been deployed there. Knows no log: who calls
 it brings the segments.
 """
 
 import json
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
@@ -17,22 +18,25 @@ import pyarrow.compute as pc
 
 from events import (
     Catalogue,
+    EventType,
     ProcessFailed,
     ProcessFinished,
     Segment,
     SituationDetected,
     UnknownType,
-    VideoAdded,
     decode,
     events_of,
     with_envelope,
 )
 from patterns.bound import BoundRule
-from patterns.running import RuleRun
+from patterns.errors import MatchError
+from patterns.running import Outcome, RuleRun
+from patterns.site import SITE_TYPES
 from patterns.situations import Match
 
-CONTROL_TYPES = tuple(str(each.type_name) for each in (VideoAdded, ProcessFinished, ProcessFailed))
-"""What tells a rule how large frames are, and which sources have ended."""
+_CONTROL: tuple[type[EventType], ...] = (*SITE_TYPES, ProcessFinished, ProcessFailed)
+CONTROL_TYPES = tuple(str(each.type_name) for each in _CONTROL)
+"""What tells a rule of the cameras, and which sources have ended."""
 
 
 class Backtest:
@@ -49,16 +53,18 @@ class Backtest:
         self.run = RuleRun(bound)
         self.segments_skipped = 0
         """Segments of a version unknown here, which took no part."""
+        self.site = bound.site.copy()
+        """All that the log has said of the cameras so far."""
         self._catalogue = catalogue
         self._since = since
 
     @property
     def types(self) -> tuple[str, ...]:
         """The event types whose segments it wants."""
-        return (self.run.bound.type, *CONTROL_TYPES)
+        return (*sorted(self.run.input_types), *CONTROL_TYPES)
 
-    def take(self, segment: Segment) -> Sequence[Match]:
-        """The matches that this segment, the next in order of position, makes final.
+    def take(self, segment: Segment) -> Outcome:
+        """What this segment, the next in order of position, leads to.
 
         Raises:
             PatternError: The rule cannot go on; online it would be set aside here.
@@ -67,19 +73,22 @@ class Backtest:
             batch = decode(segment, self._catalogue)
         except UnknownType:
             self.segments_skipped += 1
-            return ()
+            return Outcome()
         source = segment.stream.source
-        if segment.stream.type == self.run.bound.type:
-            return self.run.push(
-                self._rows(with_envelope(segment.stream, segment.header.first_sequence, batch))
-            ).matches
+        if segment.stream.type in self.run.input_types:
+            return self.run.push(self._rows(with_envelope(segment.stream, segment.header.first_sequence, batch)))
         matches: list[Match] = []
-        for event in events_of(batch):
-            if isinstance(event, VideoAdded):
-                self.run.set_frame_size(source, event.width, event.height)
+        for sequence, event in enumerate(events_of(batch), segment.header.first_sequence):
+            if isinstance(event, SITE_TYPES):
+                self.run.learn(event, str(segment.stream), sequence)
+                self._learn(event, str(segment.stream), sequence)
             elif isinstance(event, ProcessFinished | ProcessFailed):
                 matches += self.run.source_ended(source).matches
-        return matches
+        return Outcome(tuple(matches))
+
+    def _learn(self, event: EventType, stream: str, sequence: int) -> None:
+        with suppress(MatchError):  # a rule that needs it has raised
+            self.site.learn(event, stream, sequence)
 
     def _rows(self, rows: pa.RecordBatch) -> pa.RecordBatch:
         if self._since is None:

@@ -7,7 +7,7 @@ match becomes a guard over registers. Cheap: a rule is bound in milliseconds.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import pyarrow as pa
 
@@ -32,6 +32,7 @@ from patterns.expressions import (
 )
 from patterns.geometry import FrameSize
 from patterns.guards import constant_value
+from patterns.inputs import Readable, bind_arms
 from patterns.limits import Limits
 from patterns.parser import parse
 from patterns.pattern_variables import pattern_variables
@@ -49,11 +50,6 @@ from patterns.syntax import (
 from patterns.titles import check_formats, title_fields
 
 PREDICATES_MOST = 63
-
-ENVELOPE = {
-    "time": Kind.TIME, "sequence": Kind.INT, "source": Kind.STRING, "station": Kind.STRING,
-    "subject": Kind.STRING, "type": Kind.STRING,
-}  # fmt: skip
 
 
 def bind(
@@ -94,6 +90,7 @@ class _Parts:
     slots: dict[Expr, int] = field(default_factory=dict)
     registers: dict[Register, int] = field(default_factory=dict)
     register_of: dict[Expr, int] = field(default_factory=dict)
+    timers: dict[int, None] = field(default_factory=dict)
 
 
 class _Binder:
@@ -105,7 +102,10 @@ class _Binder:
         self.clause = query.clause
         self.limits = limits
         self.parts = _Parts()
-        self.columns, self.unreadable = self.readable_columns(schemas)
+        self.variables: dict[str, str] = {}
+        self.readable = Readable({}, {})
+        self.arms = bind_arms(query.arms, schemas, query.passage, self.of_event)
+        self.readable = self.arms.readable
         shown: dict[str, str] = {}
         for name in pattern_variables(query.clause.pattern):
             shown.setdefault(name.key, name.name)
@@ -117,7 +117,6 @@ class _Binder:
         self.check_order()
         self.check_rows()
         keys = tuple(self.key(column) for column in clause.partition_by)
-        where = self.condition_of(query.where, "WHERE", None) if query.where else None
         conditions = self.conditions()
         measures = self.measures()
         title_columns = self.title_columns(measures, keys)
@@ -130,17 +129,17 @@ class _Binder:
             raise query.passage.error(f"PATTERN: {error}", clause.pattern_at) from error
         self.check_once_per(measures, keys)
         parts = self.parts
-        read = (*parts.predicates, *parts.slots, *((where,) if where is not None else ()))
+        read = (*parts.predicates, *parts.slots)
         names = sorted(column_names(read) | set(keys) | {"source"})
         bound = BoundRule(
             rule=self.rule,
-            type=query.source_type.name,
+            timers=tuple(parts.timers),
+            inputs=self.arms.inputs(names),
             variables=tuple(self.variables.values()),
             program=program,
             tables=tables,
-            columns={name: self.columns[name] for name in names},
+            columns={name: self.readable.columns[name] for name in names},
             keys=keys,
-            where=where,
             predicates=tuple(parts.predicates),
             slots=tuple(parts.slots),
             registers=tuple(parts.registers),
@@ -157,29 +156,21 @@ class _Binder:
             limits=self.limits,
         )
         self.check_can_match(bound)
+        self.check_timers(bound)
         return bound
 
     # Names.
 
-    def readable_columns(self, schemas: Mapping[str, pa.Schema]) -> tuple[dict[str, Kind], dict[str, str]]:
-        name = self.query.source_type
-        if name.name not in schemas:
-            have = ", ".join(sorted(schemas))
-            raise self.error(f"FROM: unknown event type {name.name!r}; there are: {have}", name.at)
-        readable, unreadable = dict(ENVELOPE), {}
-        for column in schemas[name.name]:
-            kind = kind_of(column.type)
-            if kind is None:
-                unreadable[column.name] = str(column.type)
-            elif column.name not in ENVELOPE:
-                readable[column.name] = kind
-        return readable, unreadable
+    def of_event(self, scalar: Scalar, clause: str, readable: Readable) -> Expr:
+        """The expression over the columns of one event, in an arm of FROM."""
+        scope = self.scope(clause, None, has_row=True)
+        return translate(scalar, replace(scope, columns=readable.columns, unreadable=readable.unreadable))
 
     def key(self, column: Identifier) -> str:
         for name in (column.name, column.name.lower()):
-            if name in self.columns:
+            if name in self.readable.columns:
                 return name
-        have = ", ".join(sorted(self.columns))
+        have = ", ".join(sorted(self.readable.columns))
         raise self.error(f"PARTITION BY: unknown column {column.name!r}; there are: {have}", column.at)
 
     def check_order(self) -> None:
@@ -210,9 +201,9 @@ class _Binder:
         return Scope(
             passage=self.query.passage,
             clause=clause,
-            columns=self.columns,
-            unreadable=self.unreadable,
-            variables=self.variables if clause != "WHERE" else {},
+            columns=self.readable.columns,
+            unreadable=self.readable.unreadable,
+            variables=self.variables,
             own=own,
             has_row=has_row,
             params=self.rule.params,
@@ -255,7 +246,9 @@ class _Binder:
             message = f"DEFINE: more than {PREDICATES_MOST} different row-local conditions"
             raise self.error(message, self.clause.pattern_at)
         guard = Call("and", tuple(guards), Kind.BOOL) if len(guards) > 1 else guards[0] if guards else None
-        return Condition(tuple(predicates), guard)
+        dues = [part.operands[1] for part in guards if isinstance(part, Call) and part.op == "timer"]
+        parts.timers |= dict.fromkeys(parts.register_of[due] for due in dues)
+        return Condition(tuple(predicates), guard, is_timed=bool(dues))
 
     def measures(self) -> tuple[Output, ...]:
         outputs: dict[str, Output] = {}
@@ -292,13 +285,13 @@ class _Binder:
         for name in title_fields(self.rule):
             if name in known:
                 continue
-            if name not in self.columns:
-                have = ", ".join(sorted(known | set(self.columns)))
+            if name not in self.readable.columns:
+                have = ", ".join(sorted(known | set(self.readable.columns)))
                 raise self.rule.error(f"title: unknown name {{{name}}}; there are: {have}", "title")
-            value = Reference(None, "last", Column(name, self.columns[name]))
+            value = Reference(None, "last", Column(name, self.readable.columns[name]))
             self.remember(value)
             outputs[name] = Output(name, value)
-        kinds = {key: self.columns[key] for key in keys}
+        kinds = {key: self.readable.columns[key] for key in keys}
         kinds |= {output.name: output.value.kind for output in (*measures, *outputs.values())}
         check_formats(self.rule, kinds)
         return tuple(outputs.values())
@@ -387,6 +380,23 @@ class _Binder:
         names = ", ".join(bound.variables[index] for index in sorted(hopeless)) or "its anchors"
         raise self.error(f"PATTERN: it can never match, because {names} can never be true", self.clause.pattern_at)
 
+    def check_timers(self, bound: BoundRule) -> None:
+        """Checks that nothing in the rule asks for what virtual rows do not have: a place among the real ones."""
+        timed = [name for name, is_timed in zip(bound.variables, bound.timed, strict=True) if is_timed]
+        if not timed:
+            return
+        clause = self.clause
+        skipped = [bound.variables[at] for at in bound.skip_variables if bound.timed[at]]
+        if skipped and clause.skip.variable is not None:
+            message = f"AFTER MATCH SKIP: {skipped[0]} has TIMER, and no match begins at a virtual row"
+            raise self.error(message, clause.skip.variable.at)
+        if bound.tables.accepts != bound.tables.accepts_end:
+            message = f"PATTERN: $ asks for the partition's last row, and {timed[0]} has TIMER: no row is the last then"
+            raise self.error(message, clause.pattern_at)
+        if all(bound.timed[bound.tables.variables[at]] for at in bound.tables.firsts()):
+            message = f"PATTERN: no match begins at a virtual row, and {timed[0]} has TIMER"
+            raise self.error(message, clause.pattern_at)
+
     def error(self, message: str, at: int) -> RuleError:
         return self.query.passage.error(message, at)
 
@@ -415,16 +425,3 @@ def lifted(expr: Expr) -> Expr:
     variables, which, offset = frames.pop()
     inner = rebuilt(expr, lambda part: part.operand if isinstance(part, Reference) else part)
     return Reference(variables, which, inner, offset)
-
-
-def kind_of(arrow_type: pa.DataType) -> Kind | None:
-    """The language's type of an Arrow column; None: rules cannot read it."""
-    types = pa.types
-    if types.is_dictionary(arrow_type):
-        return kind_of(arrow_type.value_type)
-    checks = (
-        (types.is_boolean, Kind.BOOL), (types.is_integer, Kind.INT), (types.is_floating, Kind.FLOAT),
-        (types.is_string, Kind.STRING), (types.is_large_string, Kind.STRING),
-        (types.is_timestamp, Kind.TIME), (types.is_duration, Kind.DURATION),
-    )  # fmt: skip
-    return next((kind for check, kind in checks if check(arrow_type)), None)

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from patterns.expressions import Expr, Kind
+from patterns.inputs import Input
 from patterns.limits import Limits
 from patterns.program import Instruction, Tables
 from patterns.rule import Rule
@@ -54,10 +55,12 @@ class Condition:
     Attributes:
         predicates: Row-local conditions that must all be true, as indices.
         guard: What else must be true; None: nothing.
+        is_timed: Whether it has TIMER.
     """
 
     predicates: tuple[int, ...]
     guard: Expr | None
+    is_timed: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,13 +77,13 @@ class BoundRule:
 
     Attributes:
         rule: The rule.
-        type: The event type after FROM.
+        timers: Registers that hold when a virtual row is due.
+        inputs: The arms of FROM.
         variables: Pattern variables by index.
         program: The pattern.
         tables: The same, as the matcher takes it.
         columns: The columns read, with their types; `source` among them.
         keys: The partition columns.
-        where: The filter of FROM.
         predicates: Row-local conditions, each once.
         slots: Row-local values that guards and registers read.
         registers: What a match remembers.
@@ -98,13 +101,13 @@ class BoundRule:
     """
 
     rule: Rule
-    type: str
+    timers: tuple[int, ...]
+    inputs: tuple[Input, ...]
     variables: tuple[str, ...]
     program: tuple[Instruction, ...]
     tables: Tables
     columns: Mapping[str, Kind]
     keys: tuple[str, ...]
-    where: Expr | None
     predicates: tuple[Expr, ...]
     slots: tuple[Expr, ...]
     registers: tuple[Register, ...]
@@ -119,3 +122,18 @@ class BoundRule:
     looks_back: bool
     site: Site
     limits: Limits
+
+    @property
+    def timed(self) -> tuple[bool, ...]:
+        """For each variable whether its condition has TIMER, so that it takes virtual rows and no others."""
+        return tuple(each.is_timed for each in self.conditions)
+
+    @property
+    def types(self) -> frozenset[str]:
+        """The event types that the rule reads."""
+        return frozenset(each.type for each in self.inputs)
+
+    @property
+    def plain_input(self) -> Input | None:
+        """The only arm, where a row is the event itself; None where rows are computed, or come from several arms."""
+        return self.inputs[0] if len(self.inputs) == 1 and self.inputs[0].is_plain else None

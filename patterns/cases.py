@@ -104,13 +104,17 @@ def case_rows(bound: BoundRule, index: int) -> pa.Table:
     records: Iterable[Mapping[str, Any]] = (
         csv_records(rule.folder / case.given, passage) if isinstance(case.given, str) else case.given
     )
-    kinds = {"time": Kind.TIME, "sequence": Kind.INT, "station": Kind.STRING, "type": Kind.STRING, **bound.columns}
+    kinds = _kinds(bound, passage)
     shapes = (*rule.zones.values(), *rule.lines.values(), *case.zones.values(), *case.lines.values())
     sources = {shape.source for shape in shapes} | set(case.calibrations)
     source = sources.pop() if len(sources) == 1 else "test"
     columns: dict[str, list[Any]] = {name: [] for name in kinds}
+    only_type = next(iter(bound.types)) if len(bound.types) == 1 else None
     for number, record in enumerate(records, start=1):
-        defaults = {"sequence": number, "station": "test", "source": source, "type": bound.type}
+        if only_type is None and record.get("type") is None:
+            types = ", ".join(sorted(bound.types))
+            raise passage.error(f"row {number}: the rule reads several types, so a row says its `type`: {types}", 0)
+        defaults = {"sequence": number, "station": "test", "source": source, "type": only_type}
         for name, kind in kinds.items():
             value = record.get(name)
             try:
@@ -122,11 +126,26 @@ def case_rows(bound: BoundRule, index: int) -> pa.Table:
     return pa.table(arrays)
 
 
+def _kinds(bound: BoundRule, passage: Passage) -> dict[str, Kind]:
+    """The columns of a test's rows: the envelope's, and those that any arm of FROM reads."""
+    kinds = {"time": Kind.TIME, "sequence": Kind.INT, "station": Kind.STRING, "source": Kind.STRING,
+             "type": Kind.STRING}  # fmt: skip
+    kinds |= {"rule": Kind.STRING} if any(each.situation_of for each in bound.inputs) else {}
+    for name, kind in (pair for each in bound.inputs for pair in each.reads.items()):
+        known = kinds.setdefault(name, kind)
+        if {known, kind} == {Kind.INT, Kind.FLOAT}:
+            kinds[name] = Kind.FLOAT
+        elif known is not kind:
+            message = f"column {name} is a {known.value} in one type and a {kind.value} in another"
+            raise passage.error(message, 0)
+    return kinds
+
+
 def compared(wanted: Sequence[Mapping[str, Any]], found: Sequence[Match]) -> str:
     """The difference, one line a situation: `  ` as wanted, `- ` wanted but not found, `+ ` found but not wanted.
 
-    Wanted and found are paired in order; empty if nothing differs. Where nothing at all was wanted or found, a line
-    says that.
+    Wanted and found are paired in order, value below value, and a line `? ` points at those that differ; empty if
+    nothing differs. Where nothing at all was wanted or found, a line says that.
     """
     lines = []
     is_equal = len(wanted) == len(found)
@@ -137,6 +156,9 @@ def compared(wanted: Sequence[Mapping[str, Any]], found: Sequence[Match]) -> str
             lines.append(f"  {shown(want)}")
             continue
         is_equal = False
+        if want is not None and have is not None and len(want) > 1:
+            lines += _side_by_side(want, have)
+            continue
         if want is not None:
             lines.append(f"- {shown(want)}")
         if have is not None:
@@ -147,6 +169,22 @@ def compared(wanted: Sequence[Mapping[str, Any]], found: Sequence[Match]) -> str
     if found and not wanted:
         lines.insert(0, "- (no situation)")
     return "" if is_equal else "\n".join(lines)
+
+
+def _side_by_side(want: Mapping[str, Any], have: Mapping[str, Any]) -> list[str]:
+    """Wanted, found, and carets under the values that differ."""
+    cells = [(shown({name: value}), shown({name: have.get(name, "(no such value)")}), agrees({name: value}, have))
+             for name, value in want.items()]  # fmt: skip
+    widths = [max(len(wanted), len(found)) + 2 for wanted, found, _ in cells]
+    rows = [
+        ("- ", [f"{wanted}, " for wanted, _, _ in cells]),
+        ("+ ", [f"{found}, " for _, found, _ in cells]),
+        ("? ", ["" if is_same else "^" * len(found) for _, found, is_same in cells]),
+    ]
+    return [
+        sign + "".join(text.ljust(width) for text, width in zip(texts, widths, strict=True)).rstrip(", ")
+        for sign, texts in rows
+    ]
 
 
 def _said(found: Match) -> dict[str, Any]:

@@ -86,7 +86,7 @@ class Duck:
         if not expressions:
             return []
         wanted = ", ".join(f"{text} AS c{index}" for index, text in enumerate(expressions))
-        typed = ", ".join(f'NULL::{kind} AS "{name}"' for name, kind in columns.items()) or "1 AS nothing"
+        typed = ", ".join(f"NULL::{kind} AS {quoted(name)}" for name, kind in columns.items()) or "1 AS nothing"
         query = f"DESCRIBE SELECT {wanted} FROM (SELECT {typed}) WHERE false"
         return [row[1] for row in self.connection.execute(query).fetchall()]
 

@@ -2,10 +2,12 @@
 
 PatternError
 ├── RuleError            a rule file that is not right; knows its file, line and column
-│   └── NotSupportedYet  right SQL:2016, outside what this version understands
+│   ├── NotSupportedYet  right SQL:2016, outside what this version understands
+│   └── QueryError       DuckDB refuses the SQL around a clause, or cannot go on with it
 ├── MatchError           a rule that cannot go on with the rows it was given
 │   ├── SkipError        AFTER MATCH SKIP has no row to go to
 │   ├── LimitError       a limit of `Limits` was reached; names it
+│   ├── RuleTooSlow      a rule took longer for its events than it may
 │   ├── FrameSizeUnknown a normalised zone or line met a row of a source of unknown frame size
 │   └── CalibrationUnknown  metres were asked of a source that is not calibrated
 └── StateError           bytes that are not the saved state of this rule
@@ -52,6 +54,10 @@ class NotSupportedYet(RuleError):
     """Right SQL:2016, outside what this version understands."""
 
 
+class QueryError(RuleError):
+    """SQL around a MATCH_RECOGNIZE clause that DuckDB refuses, or cannot go on with; the message is DuckDB's."""
+
+
 class MatchError(PatternError):
     """A rule that cannot go on with the rows it was given."""
 
@@ -62,6 +68,10 @@ class SkipError(MatchError):
 
 class LimitError(MatchError):
     """A limit of `Limits` was reached; the message names it."""
+
+
+class RuleTooSlow(MatchError):
+    """A rule took longer for its events than it may; the message names the limit."""
 
 
 class FrameSizeUnknown(MatchError):

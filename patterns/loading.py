@@ -5,7 +5,8 @@ in a value, or at any character of the SQL, names its line and column in the
 file. The SQL is parsed when the rule is loaded, and bound later.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -14,8 +15,10 @@ from pydantic import BaseModel, ValidationError
 from yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
 
 from patterns.errors import RuleError
+from patterns.lists import file_values, is_file
 from patterns.parser import parse
 from patterns.rule import Rule
+from patterns.template import filled_in
 from patterns.text import Document, Passage
 
 FILE_SIZE_MOST = 1_000_000
@@ -89,14 +92,31 @@ def parse_rule(text: str, name: str = "<rule>", path: Path | None = None) -> Rul
     Raises:
         RuleError: The text is not a rule.
     """
-    rule, passages = read_document(Document(name, text), Rule)
+    rule, passages = read_document(Document(name, text), Rule, partial(_prepared, folder=path and path.parent))
     rule = rule.loaded_from(path, passages)
     parse(rule.passage("match"))
     return rule
 
 
-def read_document(document: Document, model: type[M]) -> tuple[M, Mapping[KeyPath, Passage]]:
+def _prepared(values: Mapping[str, Any], passages: dict[KeyPath, Passage], folder: Path | None) -> Mapping[str, Any]:
+    """A rule file's values with the template filled in, and the values of lists that stand in files of their own."""
+    filled = filled_in(values, passages)
+    params = filled.get("params")
+    if not isinstance(params, Mapping):
+        return filled
+    field = "with" if "template" in values else "params"
+    return {**filled, "params": {
+        name: file_values(value["file"], passages[field, name], folder) if is_file(value) else value
+        for name, value in params.items()
+    }}  # fmt: skip
+
+
+def read_document(
+    document: Document, model: type[M], prepare: Callable[[Any, dict[KeyPath, Passage]], Any] = lambda values, _: values
+) -> tuple[M, Mapping[KeyPath, Passage]]:
     """What a YAML text says, as the model has it, and where in the text each of its values stands.
+
+    `prepare` may change the values before the model sees them, and note where new ones stand.
 
     Raises:
         RuleError: The text is not YAML, or not what the model asks for; it points at the place.
@@ -110,7 +130,7 @@ def read_document(document: Document, model: type[M]) -> tuple[M, Mapping[KeyPat
     passages: dict[KeyPath, Passage] = {}
     _note(node, (), document, passages)
     try:
-        return model.model_validate(_constructed(node, document)), passages
+        return model.model_validate(prepare(_constructed(node, document), passages)), passages
     except ValidationError as error:
         raise _pointed(error, passages, model) from error
 
@@ -204,7 +224,7 @@ def _pointed(error: ValidationError, passages: Mapping[KeyPath, Passage], whole:
         message = f"unknown key; there are: {', '.join(_known_keys(location, whole))}"
         location = (*location, "[key]")
     elif first["type"] == "missing":
-        message = "this key is missing"
+        message = "this key is missing" + ("; write SQL there, or name a template" if location == ("match",) else "")
     elif first["type"] != "value_error" and isinstance(first["input"], str | int | float):
         message += f", got {first['input']!r}"
     for length in range(len(location), -1, -1):
@@ -220,7 +240,7 @@ def _known_keys(location: KeyPath, whole: type[BaseModel]) -> list[str]:
         field = getattr(model, "model_fields", {}).get(part)
         if field is not None:
             model = next((each for each in _models(field.annotation)), None)
-    return sorted(model.model_fields) if model is not None else []
+    return sorted(field.alias or name for name, field in model.model_fields.items()) if model is not None else []
 
 
 def _models(annotation: Any) -> list[Any]:

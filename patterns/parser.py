@@ -18,8 +18,10 @@ from patterns.dialect import ClauseDialect
 from patterns.errors import NotSupportedYet
 from patterns.pattern_parser import parse_pattern
 from patterns.syntax import (
+    Arm,
     Clause,
     Identifier,
+    Item,
     Named,
     Ordering,
     Pattern,
@@ -33,6 +35,7 @@ from patterns.syntax import (
 from patterns.text import Passage
 from patterns.tokens import Word, canonical_name, tokenise
 
+SITUATION_TYPE = "situation_detected"
 _T = TypeVar("_T")
 _CLAUSES = ("PARTITION", "ORDER", "MEASURES", "ONE", "ALL", "AFTER", "INITIAL", "SEEK", "PATTERN", "SUBSET", "DEFINE")
 _OPENING, _CLOSING = ("(", "[", "{"), (")", "]", "}")
@@ -82,10 +85,10 @@ class _Parser:
         self.expect("SELECT")
         self.select_star()
         self.expect("FROM")
-        source_type, where = self.source()
+        arms = self.arms()
         clause = self.clause()
         self.end()
-        return Query(self.passage, source_type, where, clause)
+        return Query(self.passage, arms, clause)
 
     def select_star(self) -> None:
         if self.key() != "*":
@@ -94,24 +97,76 @@ class _Parser:
         if self.key() == ",":
             self.refuse("a SELECT list other than *")
 
-    def source(self) -> tuple[Identifier, Scalar | None]:
-        if self.key() != "(":
-            name = self.identifier("an event type")
+    def arms(self) -> tuple[Arm, ...]:
+        if not self.accept("("):
+            name, rule = self.event_type()
             if self.key() in (",", *_QUERY_NOT_YET) and self.key() != "MATCH_RECOGNIZE":
                 self.refuse(f"{self.word_shown()} after FROM")
-            return name, None
-        self.index += 1
-        self.expect("SELECT")
-        self.select_star()
-        self.expect("FROM")
-        name = self.identifier("an event type")
-        where = None
-        if self.accept("WHERE"):
-            where = self.scalar("WHERE", stops=(*_QUERY_NOT_YET, "WINDOW", "QUALIFY"))
+            return (Arm(name, rule, has_star=True, items=(), where=None),)
+        arms = [self.arm()]
+        while self.unites():
+            arms.append(self.arm())
         if self.key() in _QUERY_NOT_YET or self.key() == ",":
             self.refuse(f"{self.word_shown()} in a sub-query of FROM")
         self.expect(")")
-        return name, where
+        return tuple(arms)
+
+    def unites(self) -> bool:
+        """Whether another arm follows; it is united BY NAME."""
+        at = self.offset()
+        if not self.accept("UNION"):
+            return False
+        if not self.accept("ALL"):
+            raise self.passage.error("UNION takes out rows that are alike, and no two events are. "
+                                     "Next: write UNION ALL BY NAME", at)  # fmt: skip
+        if not self.accept("BY"):
+            raise self.passage.error("UNION ALL by position would mix columns up when a type's next version has more. "
+                                     "Next: write UNION ALL BY NAME", at)  # fmt: skip
+        self.expect("NAME")
+        return True
+
+    def arm(self) -> Arm:
+        self.expect("SELECT")
+        has_star, items = self.select_list()
+        self.expect("FROM")
+        name, rule = self.event_type()
+        where = None
+        if self.accept("WHERE"):
+            where = self.scalar("WHERE", stops=(*_QUERY_NOT_YET, "WINDOW", "QUALIFY"))
+        return Arm(name, rule, has_star, items, where)
+
+    def event_type(self) -> tuple[Identifier, str | None]:
+        """An event type, or the situations of a rule."""
+        name = self.identifier("an event type")
+        if name.key != "SITUATION" or self.key() != "(":
+            return name, None
+        self.index += 1
+        word = self.words[self.index] if self.has_word() else None
+        if word is None or word.kind is not TokenType.STRING:
+            self.fail(f"wanted situation('rule'), got {self.word_shown()}")
+        self.index += 1
+        self.expect(")")
+        return Identifier(SITUATION_TYPE, SITUATION_TYPE.upper(), name.at), word.name
+
+    def select_list(self) -> tuple[bool, tuple[Item, ...]]:
+        has_star = self.accept("*")
+        items = [] if has_star else [self.item()]
+        while self.accept(","):
+            items.append(self.item())
+        return has_star, tuple(items)
+
+    def item(self) -> Item:
+        """`column`, or `expression AS column`."""
+        first = self.index
+        value = self.scalar("SELECT", stops=("AS", "FROM"))
+        is_column = self.index == first + 1 and self.words[first].is_identifier
+        if self.accept("AS"):
+            first = self.index
+            self.identifier("the column's name")
+        elif not is_column:
+            raise self.passage.error("SELECT: an expression needs a name. Next: write ... AS name", value.at)
+        word = self.words[first]
+        return Item(word.name if word.is_quoted else word.name.lower(), word.start, value)
 
     def end(self) -> None:
         if self.accept("AS") or (self.has_word() and self.key() not in (";", *_QUERY_NOT_YET)):
@@ -290,8 +345,15 @@ class _Parser:
         try:
             trees = self.dialect.parser().parse([opening, *_tokens(words), closing], self.passage.text)
         except ParseError as error:
-            raise self.passage.error(f"{clause}: {_complaint(error)}", _error_offset(error, words)) from error
+            at = _error_offset(error, words)
+            for word, _, stumbled in zip(words, words[1:], words[2:], strict=False):
+                if stumbled.start == at and word.key in ("RUNNING", "FINAL"):
+                    message = f"{clause}: {word.key} stands before FIRST, LAST or an aggregate function only"
+                    raise self.passage.error(message, word.start) from error
+            raise self.passage.error(f"{clause}: {_complaint(error)}", at) from error
         tree = trees[0]
+        if isinstance(tree, exp.Alias) and tree.args.get("alias") is None:  # DuckDB's `name: value`, without a name
+            tree = tree.this
         if len(trees) != 1 or not isinstance(tree, exp.Paren | exp.Subquery):
             raise self.passage.error(f"{clause}: not one scalar expression", words[0].start)
         if isinstance(tree.this, exp.Alias):

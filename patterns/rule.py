@@ -132,6 +132,9 @@ class Rule(_Frozen):
     time: TimeSettings = TimeSettings()
     emit: EmitSettings = EmitSettings()
     profile: Literal["full", "portable"] = "full"
+    template: Name | None = None
+    given: Mapping[str, Any] = Field(default_factory=dict, alias="with")
+    shadow: bool = Field(default=False, strict=True)
     match: str = Field(min_length=1)
     tests: tuple[Case, ...] = ()
 
@@ -153,6 +156,12 @@ class Rule(_Frozen):
     def path(self) -> Path | None:
         """The file that says this rule; None if it was made in a program, or changed since it was loaded."""
         return self._path
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether the rule's own file says all of it, without a template or lists in other files."""
+        lists = (path for path in self._passages if len(path) == 3 and path[0] == "params" and path[2] == "file")
+        return self._path is not None and self.template is None and not any(lists)
 
     @property
     def folder(self) -> Path:

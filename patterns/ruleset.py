@@ -73,7 +73,7 @@ class RuleSetRun:
     @property
     def input_types(self) -> frozenset[str]:
         """The event types that the rules are written over."""
-        return frozenset(member.run.input_type for member in self._members.values())
+        return frozenset().union(*(member.run.input_types for member in self._members.values()))
 
     # Rules come and go.
 

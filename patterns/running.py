@@ -23,6 +23,7 @@ from patterns.durations import microseconds
 from patterns.emitter import Emitter
 from patterns.engine import Engine, Key
 from patterns.errors import StateError
+from patterns.inputs import rows_of
 from patterns.matcher import Found
 from patterns.rows import (
     SEQUENCE,
@@ -32,11 +33,11 @@ from patterns.rows import (
     check_envelope,
     in_total_order,
     newest_by_source,
-    normalised,
 )
 from patterns.saved import Saved, decode, encode, partitions_from_json, partitions_to_json
 from patterns.site import Site
 from patterns.situations import EventRef, Match, Narrator, as_microseconds, event_ref, nearest_time
+from patterns.timers import TIMER_STREAM
 from patterns.titles import Scalar
 
 Rows: TypeAlias = pa.Table | pa.RecordBatch
@@ -121,9 +122,9 @@ class RuleRun:
         self._attach()
 
     @property
-    def input_type(self) -> str:
-        """The event type that the rule is written over."""
-        return self.bound.type
+    def input_types(self) -> frozenset[str]:
+        """The event types that the rule reads."""
+        return self.bound.types
 
     @property
     def watermark(self) -> datetime | None:
@@ -197,7 +198,7 @@ class RuleRun:
     def finish(self) -> Outcome:
         """The input has ended: everything is decided. What is pushed after this begins anew."""
         found = self._engine.take(self._released(None))
-        found += self._engine.finish()
+        found += self._engine.finish(self._clock.newest_us())
         matches = self._emitted(found)
         self._clock.reset()
         self._emitter.reset()
@@ -267,10 +268,9 @@ class RuleRun:
 
     def _take(self, table: pa.Table) -> tuple[EventRef, ...]:
         """Holds the rows that are in time; the others."""
-        rows = table.filter(pc.equal(table.column("type"), self.bound.type))
-        if rows.num_rows == 0:
+        rows = rows_of(self.bound.inputs, table, self._streams, self._engine.places)
+        if rows is None:
             return ()
-        rows = normalised(rows, self.bound.columns, self._streams)
         late: tuple[EventRef, ...] = ()
         if self._clock.watermark_us is not None:
             is_late = np.asarray(rows.column(TIME)) < self._clock.watermark_us
@@ -326,7 +326,7 @@ class RuleRun:
         return tuple(matches)
 
     def _order(self, found: Found) -> tuple[Any, ...]:
-        """By deciding time, time itself before rows of that time, then by the deciding and the first event."""
+        """By deciding time, time itself before its rows and timers after; then by the deciding and the first event."""
         names = self._streams.names
         stream, sequence, time_us = found.first
         first = (time_us, names[stream], sequence)
@@ -334,6 +334,8 @@ class RuleRun:
             return (1, 0, 0, "", 0, *first)
         if found.decided_by is None:
             return (0, found.decided_us, 0, "", 0, *first)
+        if found.decided_by[0] == TIMER_STREAM:
+            return (0, found.decided_us, 2, "", 0, *first)
         return (0, found.decided_us, 1, names[found.decided_by[0]], found.decided_by[1], *first)
 
     def _refs(self, rows: pa.Table) -> Iterable[EventRef]:

@@ -23,6 +23,7 @@ from patterns.expressions import (
     Expr,
     InZone,
     Kind,
+    OneOf,
     Reference,
     Shift,
     conjuncts,
@@ -30,12 +31,12 @@ from patterns.expressions import (
     operands,
     walk,
 )
-from patterns.geometry import crosses_line
+from patterns.geometry import Line, Zone, crosses_line
 from patterns.guards import compile_guard
 from patterns.telling import told, told_duration, told_number, told_value
 
-NEAR_PX = 100.0
-"""A distance that counts half as far as can be, when near misses are put in order."""
+NEAR = {"px": 100.0, "m": 5.0}
+"""Distances that count half as far as can be, when near misses are put in order."""
 _OPPOSITE = {"=": "<>", "<>": "=", "<": ">=", ">=": "<", ">": "<=", "<=": ">"}
 _TURNED = {"=": "=", "<>": "<>", "<": ">", ">=": "<=", ">": "<", "<=": ">="}
 _WANTED = {"=": "", "<>": "other than ", "<": "less than ", "<=": "at most ", ">": "more than ", ">=": "at least "}
@@ -132,6 +133,8 @@ class _Asked:
             return self.none_of(expr.operands, is_wanted)
         if isinstance(expr, Call) and expr.op == ("and" if is_wanted else "or"):
             return self.not_all_of(expr.operands, is_wanted)
+        if isinstance(expr, OneOf):
+            return self.one_of(expr, is_wanted)
         if isinstance(expr, Call) and expr.op == "is_null":
             shown = told_value(self.value(expr.operands[0]), expr.operands[0].kind)
             return f"{self.told(expr.operands[0])} is {shown}", 1.0
@@ -157,6 +160,10 @@ class _Asked:
             got = told_value(self.value(listed[0]), listed[0].kind)
             return f"{got} got, wanted one of {', '.join(listed[1])}", 1.0
         return self.joined(parts, is_wanted)
+
+    def one_of(self, expr: OneOf, is_wanted: bool) -> tuple[str, float]:
+        got = told_value(self.value(expr.operands[0]), expr.operands[0].kind)
+        return f"{got} got, {'not ' if is_wanted else ''}among the {len(expr.values)} values of the list", 1.0
 
     def not_all_of(self, parts: tuple[Expr, ...], is_wanted: bool) -> tuple[str, float]:
         """Why some parts, all of which were wanted, are not as wanted."""
@@ -203,31 +210,56 @@ class _Asked:
     # Geometry.
 
     def in_zone(self, expr: InZone, is_wanted: bool) -> tuple[str, float]:
-        zone = self.judge.evaluator.places.zones[expr.zone]
+        places = self.judge.evaluator.places
         source, x, y = (self.value(part) for part in expr.operands)
-        if source != zone.source:
-            return _elsewhere("zone", expr.zone, zone.source, source)
-        polygon = zone.polygon_px(self.judge.evaluator.places.frame_size(zone, expr.zone))
+        known = places.zones_named(expr.zone)
+        zone = next((each for each in known if each.source == source), None)
+        if zone is None:
+            return _elsewhere("zone", expr.zone, known, source)
+        polygon = zone.polygon_px(places.frame_size(zone, expr.zone))
+        unit = "px"
+        if zone.units == "metres":
+            x, y = self.on_ground(source, f"zone {expr.zone!r}", x, y)
+            unit = "m"
+            if not np.isfinite(x):
+                return "the point is above the horizon", 1.0
         far = float(shapely.distance(polygon.exterior, shapely.Point(x, y)))
         side = "outside" if is_wanted else "inside"
-        return f"({x:.1f}, {y:.1f}) is {far:.1f} px {side}", _share(far, NEAR_PX)
+        return f"({x:.1f}, {y:.1f}) is {far:.1f} {unit} {side}", _share(far, NEAR[unit])
 
     def crosses(self, expr: Crosses, is_wanted: bool) -> tuple[str, float]:
-        line = self.judge.evaluator.places.lines[expr.line]
+        places = self.judge.evaluator.places
         source, *step = (self.value(part) for part in expr.operands)
-        if source != line.source:
-            return _elsewhere("line", expr.line, line.source, source)
-        points = line.points_px(self.judge.evaluator.places.frame_size(line, expr.line))
+        known = places.lines_named(expr.line)
+        line = next((each for each in known if each.source == source), None)
+        if line is None:
+            return _elsewhere("line", expr.line, known, source)
         if not is_wanted:
             return "the step crosses it", 0.5
-        return _why_no_crossing(points, step, expr.direction)
+        points = line.points_px(places.frame_size(line, expr.line))
+        if line.units != "metres":
+            return _why_no_crossing(points, step, expr.direction, "px")
+        # North is up on the ground and y is down in a picture: turned round, left and right are as seen.
+        ends = [self.on_ground(source, f"line {expr.line!r}", *step[at : at + 2]) for at in (0, 2)]
+        turned = [value for east, north in ends for value in (east, -north)]
+        if not np.isfinite(turned).all():
+            return "the step begins or ends above the horizon", 1.0
+        return _why_no_crossing(points * np.array([1.0, -1.0]), turned, expr.direction, "m")
+
+    def on_ground(self, source: str, who: str, x: float, y: float) -> tuple[float, float]:
+        """Metres to the east and north of a point in pixels."""
+        east, north = self.judge.evaluator.places.ground(source, who, np.array([x]), np.array([y]))
+        return float(east[0]), float(north[0])
 
 
-def _elsewhere(what: str, name: str, wanted: str, got: Any) -> tuple[str, float]:
-    return f"{what} {name!r} is of source {wanted}, and this row is of {got}: never true", 5.0
+def _elsewhere(what: str, name: str, known: Sequence[Zone | Line], got: Any) -> tuple[str, float]:
+    there = ", ".join(sorted({each.source for each in known}))
+    if not there:
+        return f"no source has a {what} {name!r}: never true", 5.0
+    return f"{what} {name!r} is of source {there}, and this row is of {got}: never true", 5.0
 
 
-def _why_no_crossing(points: Any, step: Sequence[float], direction: str) -> tuple[str, float]:
+def _why_no_crossing(points: Any, step: Sequence[float], direction: str, unit: str) -> tuple[str, float]:
     (ax, ay), (bx, by) = points
     x0, y0, x1, y1 = step
     columns = tuple(np.array([value]) for value in step)
@@ -237,8 +269,8 @@ def _why_no_crossing(points: Any, step: Sequence[float], direction: str) -> tupl
     far = float(shapely.distance(shapely.LineString(points), shapely.LineString([(x0, y0), (x1, y1)])))
     if before == after:
         side = "right" if after else "left"
-        return f"the step stays on the {side} side, {far:.1f} px from the line", _share(far, NEAR_PX)
-    return f"the step passes {far:.1f} px beyond the line's end", _share(far, NEAR_PX)
+        return f"the step stays on the {side} side, {far:.1f} {unit} from the line", _share(far, NEAR[unit])
+    return f"the step passes {far:.1f} {unit} beyond the line's end", _share(far, NEAR[unit])
 
 
 def _measured(op: str, got: float, wanted: float, tell: Callable[[float], str]) -> tuple[str, float]:

@@ -178,9 +178,9 @@ def _drawn_by_events(bound: BoundRule) -> dict[str, str]:
     if any(each.units == "metres" for each in (*rule.zones.values(), *rule.lines.values())):
         drawn["calibration"] = CALIBRATION
     guards = tuple(each.guard for each in bound.conditions if each.guard is not None)
-    where = () if bound.where is None else (bound.where,)
+    read = (part for each in bound.inputs for part in (*each.projected.values(), each.where) if part is not None)
     values = tuple(each.value for each in (*bound.measures, *bound.title_columns))
-    for part in (part for expr in (*bound.predicates, *guards, *where, *values) for part in walk(expr)):
+    for part in (part for expr in (*bound.predicates, *guards, *read, *values) for part in walk(expr)):
         if isinstance(part, InZone) and part.zone in rule.shared:
             drawn[f"zone:{part.zone}"] = part.zone
         elif isinstance(part, Crosses) and part.line in rule.shared:

@@ -175,17 +175,43 @@ class Clause:
 
 
 @dataclass(frozen=True, slots=True)
+class Item:
+    """One column of an arm's SELECT list: its name, where that stands, and its value."""
+
+    column: str
+    at: int
+    value: Scalar
+
+
+@dataclass(frozen=True, slots=True)
+class Arm:
+    """One SELECT of FROM.
+
+    Attributes:
+        source_type: The event type after FROM.
+        situation_of: The rule in FROM situation('rule').
+        has_star: Whether all columns of the type are taken; it is so where FROM names a type alone.
+        items: The other columns, in order.
+        where: The filter.
+    """
+
+    source_type: Identifier
+    situation_of: str | None
+    has_star: bool
+    items: tuple[Item, ...]
+    where: Scalar | None
+
+
+@dataclass(frozen=True, slots=True)
 class Query:
-    """One SELECT * FROM type MATCH_RECOGNIZE (...).
+    """One SELECT * FROM input MATCH_RECOGNIZE (...).
 
     Attributes:
         passage: The SQL, for errors.
-        source_type: The event type after FROM.
-        where: The filter of a FROM sub-query.
+        arms: What FROM names, or unites by name; at least one.
         clause: The MATCH_RECOGNIZE.
     """
 
     passage: Passage
-    source_type: Identifier
-    where: Scalar | None
+    arms: tuple[Arm, ...]
     clause: Clause

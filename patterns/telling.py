@@ -4,6 +4,7 @@ Parameters appear as their values, and a column of the row at hand under the nam
 the row was tried as, so that a condition can be read without the rule beside it.
 """
 
+from datetime import datetime
 from typing import Any
 
 from patterns.expressions import (
@@ -15,6 +16,8 @@ from patterns.expressions import (
     Expr,
     InZone,
     Kind,
+    OneOf,
+    OnGround,
     Reference,
     Shift,
     operands,
@@ -23,6 +26,7 @@ from patterns.situations import nearest_time
 
 _INFIX = {**{op: f" {op} " for op in (*COMPARISONS, "+", "-", "*", "/", "%")}, "and": " AND ", "or": " OR "}
 _INFIX |= {"ratio": " / ", "scale": " * ", "shrink": " / "}
+_VALUES_SHOWN = 4
 _LOOSENESS = {"or": 6, "and": 5, "not": 4, **dict.fromkeys(COMPARISONS, 3), "is_null": 3, "+": 2, "-": 2}
 
 
@@ -40,6 +44,10 @@ def told(expr: Expr, variable: str) -> str:
         return f"in_zone({_listed(expr.operands[1:], variable)}, '{expr.zone}')"
     if isinstance(expr, Crosses):
         return f"crosses({_listed(expr.operands[1:], variable)}, '{expr.line}', '{expr.direction}')"
+    if isinstance(expr, OnGround):
+        return f"ground_{expr.what}({_listed(expr.operands[1:], variable)})"
+    if isinstance(expr, OneOf):
+        return f"{told(expr.operands[0], variable)} IN {_told_values(expr)}"
     if isinstance(expr, Call):
         return _told_call(expr, variable)
     return _told_other(expr, variable)
@@ -50,7 +58,7 @@ def told_value(value: Any, kind: Kind) -> str:
     if value is None:
         return "NULL"
     if kind is Kind.TIME:
-        return nearest_time(value).isoformat().replace("+00:00", "Z")
+        return told_time(nearest_time(value))
     if kind is Kind.DURATION:
         return told_duration(value)
     if kind is Kind.STRING:
@@ -58,6 +66,17 @@ def told_value(value: Any, kind: Kind) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     return told_number(value)
+
+
+def told_time(time: datetime) -> str:
+    """The time in UTC with as many digits as it has.
+
+    >>> from datetime import UTC
+    >>> told_time(datetime(2026, 1, 1, 10, 0, 9, 200_000, tzinfo=UTC))
+    '2026-01-01T10:00:09.2Z'
+    """
+    text = time.isoformat().removesuffix("+00:00")
+    return f"{text.rstrip('0') if '.' in text else text}Z"
 
 
 def told_number(value: float) -> str:
@@ -116,6 +135,13 @@ def _bracketed(expr: Expr, variable: str, outside: int) -> str:
     text = told(expr, variable)
     is_looser = isinstance(expr, Call) and _LOOSENESS.get(expr.op, 1) > outside
     return f"({text})" if is_looser else text
+
+
+def _told_values(expr: OneOf) -> str:
+    """The list, its beginning only where it is long."""
+    shown = sorted(expr.values, key=str)
+    listed = ", ".join(told_value(value, expr.operands[0].kind) for value in shown[:_VALUES_SHOWN])
+    return f"({listed}{f', ... {len(shown)} in all' if len(shown) > _VALUES_SHOWN else ''})"
 
 
 def _told_other(expr: Expr, variable: str) -> str:

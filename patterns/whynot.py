@@ -18,12 +18,14 @@ from patterns.attempts import Attempts, Best, Refused, Taken
 from patterns.bound import BoundRule
 from patterns.columns import ColumnEvaluator, Rows
 from patterns.durations import MICROSECOND
-from patterns.geometry import FrameSize
+from patterns.geometry import Line, Zone
+from patterns.inputs import rows_of
 from patterns.places import Places
 from patterns.rows import SEQUENCE, STREAM, TIME, StreamNumbers, in_total_order, normalised
 from patterns.shortfalls import Judge
 from patterns.site import Site
 from patterns.situations import EventRef, Match, as_microseconds, as_python, nearest_time
+from patterns.telling import told_time
 
 ROWS_MOST = 5_000
 """Most rows of a partition that attempts are made over: those nearest to the time."""
@@ -76,7 +78,7 @@ class Past:
         rows: Rows of the rule's input in the window, in any order, with the envelope.
         late: Stream and sequence of those that came too late to take part.
         decided: The rule's matches in the window, in the order in which they were decided.
-        frame_sizes: For each source the size of its frames, (width, height) in pixels.
+        site: What the log said of the cameras.
         watermark: No row before this time is still expected; None: the input has ended, all is final.
         is_cut_before: Whether there are earlier rows than those of the window.
         is_cut_after: Whether there are later ones.
@@ -85,7 +87,7 @@ class Past:
     rows: pa.Table
     late: frozenset[tuple[str, int]] = frozenset()
     decided: Sequence[Decided] = ()
-    frame_sizes: Mapping[str, FrameSize] = field(default_factory=dict)
+    site: Site = field(default_factory=Site)
     watermark: datetime | None = None
     is_cut_before: bool = False
     is_cut_after: bool = False
@@ -155,6 +157,11 @@ class _Partition:
         return EventRef(self.streams.names[stream], sequence, nearest_time(time_us))
 
 
+def _times_us(rows: pa.Table) -> np.ndarray:
+    times: np.ndarray = rows.column("time").cast(pa.timestamp("us", "UTC")).cast(pa.int64()).to_numpy()
+    return times
+
+
 class _Case:
     """One question."""
 
@@ -162,7 +169,7 @@ class _Case:
         self.bound = bound
         self.question = question
         self.past = past
-        self.places = Places(bound.rule.zones, bound.rule.lines, Site.of(past.frame_sizes))
+        self.places = Places(bound.rule.zones, bound.rule.lines, past.site)
         self.notes: list[str] = []
 
     def answer(self) -> Answer:
@@ -170,8 +177,8 @@ class _Case:
         in_time = self._in_time(own)
         if in_time.num_rows == 0:
             return self._all_late(own)
-        passed = in_time.filter(pa.array(self._passes(in_time)))
-        if passed.num_rows == 0:
+        passed = rows_of(self.bound.inputs, in_time, StreamNumbers(), self.places)
+        if passed is None:
             return self._all_filtered(in_time)
         if passed.num_rows < in_time.num_rows:
             self.notes.append(
@@ -204,9 +211,9 @@ class _Case:
 
     def _nobody(self, rows: pa.Table) -> str:
         question = self.question
-        begin, end = (_clock(question.at + sign * question.window) for sign in (-1, 1))
+        begin, end = (told_time(question.at + sign * question.window) for sign in (-1, 1))
         where = f" of source {question.source}" if question.source else ""
-        said = f"no {self.bound.type} of {question.subject!r}{where} between {begin} and {end}"
+        said = f"no {' or '.join(sorted(self.bound.types))} of {question.subject!r}{where} between {begin} and {end}"
         others = self._subjects_by_distance(rows)
         if not others:
             return f"{said}, nor of anything else"
@@ -237,19 +244,15 @@ class _Case:
             f"{lateness:g} s (time.lateness) older than the newest event of their input. Next: raise time.lateness",
         )
 
-    def _passes(self, rows: pa.Table) -> np.ndarray:
-        if self.bound.where is None:
-            return np.ones(rows.num_rows, dtype=bool)
-        return np.asarray(
-            self._evaluator(normalised(rows, self.bound.columns, StreamNumbers())).truth(self.bound.where)
-        )
-
     def _all_filtered(self, rows: pa.Table) -> Answer:
-        assert self.bound.where is not None, "without a filter all rows pass"
+        nearest_type = rows.column("type")[int(np.argmin(np.abs(_times_us(rows) - self._at_us)))].as_py()
+        arm = next(each for each in self.bound.inputs if each.type == nearest_type)
+        assert arm.where is not None, "without a filter all rows pass"
         streams = StreamNumbers()
-        table = in_total_order(normalised(rows, self.bound.columns, streams), streams)
+        rows = rows.filter(pc.equal(rows.column("type"), nearest_type))
+        table = in_total_order(normalised(rows, arm.reads, streams), streams)
         row = int(np.argmin(np.abs(table.column(TIME).to_numpy() - self._at_us)))
-        shortfalls = Judge(self.bound, self._evaluator(table)).of(self.bound.where, "", row)
+        shortfalls = Judge(self.bound, self._evaluator(table)).of(arm.where, "", row)
         nearest = TriedRow(_Partition(table, streams, {}).event(row), "WHERE", tuple(map(str, shortfalls)))
         return Answer(
             Verdict.FILTERED_OUT,
@@ -260,39 +263,59 @@ class _Case:
 
     def _partition_of(self, own: pa.Table) -> _Partition:
         keys = list(self.bound.keys)
-        streams = StreamNumbers()
-        wanted = normalised(own, self.bound.columns, streams).select(keys).group_by(keys).aggregate([]).to_pylist()
+        wanted = own.select(keys).group_by(keys).aggregate([]).to_pylist()
         if len(wanted) > 1:
             shown = "; ".join(", ".join(f"{name} {value}" for name, value in each.items()) for each in wanted)
             raise SubjectUnclear(f"{self.question.subject!r} is in {len(wanted)} partitions: {shown}")
         key = wanted[0] if wanted else {}
-        rows = self._in_partition(key)
         streams = StreamNumbers()
-        table = in_total_order(normalised(rows, self.bound.columns, streams), streams).combine_chunks()
+        table = in_total_order(self._in_partition(key, streams), streams).combine_chunks()
         return _Partition(_nearest_rows(table, self._at_us), streams, key)
 
-    def _in_partition(self, key: Mapping[str, object]) -> pa.Table:
+    def _in_partition(self, key: Mapping[str, object], streams: StreamNumbers) -> pa.Table:
         rows = self.past.rows
-        names = _event_names(rows)
-        kept = np.array([name not in self.past.late for name in names], dtype=bool) & self._passes(rows)
-        table = normalised(rows, self.bound.columns, StreamNumbers())
+        in_time = np.array([name not in self.past.late for name in _event_names(rows)], dtype=bool)
+        table = rows_of(self.bound.inputs, rows.filter(pa.array(in_time)), streams, self.places)
+        assert table is not None, "there is the row that gave the key"
         for name, value in key.items():
             column = table.column(name)
             same = pc.is_null(column) if value is None else pc.equal(column, pa.scalar(value, column.type))
-            kept &= np.asarray(pc.fill_null(same, False))
-        return rows.filter(pa.array(kept))
+            table = table.filter(pc.fill_null(same, False))
+        return table
 
     # From the partition to the answer.
 
     def _of_partition(self, partition: _Partition) -> Answer:
+        self._note_elsewhere(partition)
         decided = [each for each in self.past.decided if dict(each.match.partition) == self._as_python(partition)]
         at_hand = next((each for each in decided if self._covers(each.match)), None)
         if at_hand is not None:
             return self._decided(at_hand, partition)
         self.notes += [
-            f"it did match from {_clock(each.match.first.time)} to {_clock(each.match.last.time)}" for each in decided
+            f"it did match from {told_time(each.match.first.time)} to {told_time(each.match.last.time)}"
+            for each in decided
         ]
         return self._attempted(partition, decided)
+
+    def _note_elsewhere(self, partition: _Partition) -> None:
+        """Notes zones and lines that no row of the partition can ever meet."""
+        sources = set(partition.table.column("source").to_pylist())
+        rule = self.bound.rule
+        shapes: dict[str, Sequence[Zone | Line]] = {
+            **{f"zone {name!r}": self.places.zones_named(name) for name in rule.zones},
+            **{f"line {name!r}": self.places.lines_named(name) for name in rule.lines},
+            **{
+                f"shared {name!r}": [*self.places.zones_named(name), *self.places.lines_named(name)]
+                for name in rule.shared
+            },
+        }
+        for what, known in shapes.items():
+            there = sorted({each.source for each in known})
+            if not sources & set(there):
+                self.notes.append(
+                    f"{what} is of source {', '.join(there) or '(none)'}, and all rows here are of "
+                    f"{', '.join(sorted(sources))}: no condition on it is ever true"
+                )
 
     def _as_python(self, partition: _Partition) -> dict[str, object]:
         return {name: as_python(value, self.bound.columns[name]) for name, value in partition.key.items()}
@@ -303,21 +326,22 @@ class _Case:
 
     def _decided(self, decided: Decided, partition: _Partition) -> Answer:
         match = decided.match
-        span = f"from {_clock(match.first.time)} to {_clock(match.last.time)}"
-        when = "at the end of the input" if match.decided_at is None else f"at {_clock(match.decided_at)}"
+        span = f"from {told_time(match.first.time)} to {told_time(match.last.time)}"
+        when = "at the end of the input" if match.decided_at is None else f"at {told_time(match.decided_at)}"
         if decided.held_by is None:
             verdict, headline = Verdict.MATCHED, f"it did match, {span}, and was a situation {when}"
         else:
             other = decided.held_by
             emit = self.bound.rule.emit
             cooldown = "for good" if emit.cooldown is None else f"for {emit.cooldown.total_seconds():g} s"
-            before = _clock(other.decided_at or other.last.time)
+            before = told_time(other.decided_at or other.last.time)
             verdict = Verdict.HELD_BACK
             headline = (
                 f"it did match, {span}, and was held back {when}: the situation of {before} holds others of its "
                 f"{', '.join(emit.once_per or self.bound.keys)} back {cooldown} (emit)"
             )
-        return Answer(verdict, headline, tuple(self.notes), match=match, partition=self._as_python(partition))
+        taken = _rows_of_match(match, partition)
+        return Answer(verdict, headline, tuple(self.notes), taken, match=match, partition=self._as_python(partition))
 
     def _attempted(self, partition: _Partition, decided: Sequence[Decided]) -> Answer:
         times_us = partition.table.column(TIME).to_pylist()
@@ -347,16 +371,16 @@ class _Case:
         watermark = self.past.watermark
         cover = next((e.match for e in decided if e.match.first.time <= end and begin <= e.match.last.time), None)
         if cover is not None:
-            other = f"{_clock(cover.first.time)} to {_clock(cover.last.time)}"
+            other = f"{told_time(cover.first.time)} to {told_time(cover.last.time)}"
             headline = (
-                f"rows from {_clock(begin)} to {_clock(end)} would match, but the match from {other} took "
+                f"rows from {told_time(begin)} to {told_time(end)} would match, but the match from {other} took "
                 f"some of them: AFTER MATCH SKIP {self.bound.skip.value}"
             )
             verdict = Verdict.COVERED
         elif watermark is not None:
             headline = (
-                f"rows from {_clock(begin)} to {_clock(end)} match, but that is not final: the watermark stands at "
-                f"{_clock(watermark)}, because a source may still send earlier events"
+                f"rows from {told_time(begin)} to {told_time(end)} match, but that is not final: the watermark "
+                f"stands at {told_time(watermark)}, because a source may still send earlier events"
             )
             verdict = Verdict.NOT_FINAL
         else:
@@ -373,15 +397,16 @@ class _Case:
 
     def _fell_short(self, best: Best, partition: _Partition) -> Answer:
         taken = () if best.thread.taken is None else self._taken_rows(best.thread.taken, partition)
-        nearest = _tried(best.refused, partition)
+        nearest = None if best.refused is None else _tried(best.refused, partition)
         is_open = best.ended_at is None and self.past.watermark is not None
         if best.ended_at is None:
-            self.notes.append(f"no further row came after {_clock(partition.event(partition.table.num_rows - 1).time)}")
-        came = f"{len(taken)} rows" if taken else "not one row"
-        headline = (
-            f"the best attempt took {came} and needed {best.missing} more; the nearest to {nearest.variable} was the "
-            f"row of {_clock(nearest.event.time)}: {'; '.join(nearest.shortfalls)}"
-        )
+            last = partition.event(partition.table.num_rows - 1)
+            self.notes.append(f"no further row came after {told_time(last.time)}")
+        came = f"{len(taken)} row{'s' if len(taken) > 1 else ''}" if taken else "not one row"
+        headline = f"the best attempt took {came} and needed {best.missing} more"
+        if nearest is not None:
+            where = f"the row of {told_time(nearest.event.time)}"
+            headline += f"; what came nearest to {nearest.variable} is {where}"
         return Answer(
             Verdict.STILL_OPEN if is_open else Verdict.FELL_SHORT,
             headline,
@@ -415,6 +440,20 @@ def _tried(refused: Refused, partition: _Partition) -> TriedRow:
     return TriedRow(partition.event(refused.row), refused.variable, tuple(map(str, refused.shortfalls)))
 
 
+def _rows_of_match(match: Match, partition: _Partition) -> tuple[TriedRow, ...]:
+    """The rows of the match that lie in the window, in order."""
+    events = [partition.event(row) for row in range(partition.table.num_rows)]
+    return tuple(
+        TriedRow(event, variable)
+        for event in events
+        for variable, ranges in match.lineage.items()
+        if any(
+            each.stream == event.stream and each.first_sequence <= event.sequence <= each.last_sequence
+            for each in ranges
+        )
+    )
+
+
 def _event_names(rows: pa.Table) -> list[tuple[str, int]]:
     columns = [rows.column(name).to_pylist() for name in ("station", "source", "type", "sequence")]
     return [
@@ -429,8 +468,3 @@ def _nearest_rows(table: pa.Table, at_us: int) -> pa.Table:
     middle = int(np.searchsorted(table.column(TIME).to_numpy(), at_us))
     begin = min(max(middle - ROWS_MOST // 2, 0), table.num_rows - ROWS_MOST)
     return table.slice(begin, ROWS_MOST).combine_chunks()
-
-
-def _clock(time: datetime) -> str:
-    """Time of day with as many digits as it needs, and the date where it is not plain."""
-    return time.isoformat().replace("+00:00", "Z")

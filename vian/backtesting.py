@@ -74,8 +74,8 @@ def backtested(log: Log, bound: BoundRule, span: Span, on_position: Callable[[in
     backtest = Backtest(bound, log.catalogue, span.begin)
     result = Backtested()
     last_wanted: int | None = None
-    for segment in _segments(log, bound, span):
-        found = backtest.take(segment)
+    for segment in segments_of(log, bound, span):
+        found = backtest.take(segment).matches
         result.matches += [each for each in found if span.shows(decided_at(each))]
         result.position = segment.position
         on_position(segment.position)
@@ -95,9 +95,9 @@ def decided_at(match: Match) -> datetime:
     return match.decided_at or match.last.time
 
 
-def _segments(log: Log, bound: BoundRule, span: Span) -> Iterator[Segment]:
+def segments_of(log: Log, bound: BoundRule, span: Span) -> Iterator[Segment]:
     """What the rule is to see, in order of position; frame sizes and ends of sources from the log's beginning on."""
-    rows = log.read_all(types=[bound.type], sources=span.sources, since=span.begin)
+    rows = log.read_all(types=sorted(bound.types), sources=span.sources, since=span.begin)
     control = log.read_all(types=CONTROL_TYPES, sources=span.sources)
     return merge(rows, control, key=lambda segment: segment.position)
 
@@ -109,5 +109,5 @@ def _has_come_to(backtest: Backtest, until: datetime | None) -> bool:
 
 def _last_position(log: Log, bound: BoundRule, span: Span, position: int) -> int:
     """The last position from which a row before the span's end comes; the one at hand if there is none behind it."""
-    behind = log.read_all(position + 1, types=[bound.type], sources=span.sources, until=span.until)
+    behind = log.read_all(position + 1, types=sorted(bound.types), sources=span.sources, until=span.until)
     return max((segment.position for segment in behind), default=position)

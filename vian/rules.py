@@ -1,25 +1,20 @@
 """Rules from files into service."""
 
 from collections.abc import Sequence
-from datetime import datetime, timedelta
+from datetime import timedelta
 from pathlib import Path
-from typing import Any
+from typing import Literal
 
-import structlog
-import yaml
-
+from patterns.binder import bind
+from patterns.expanding import expand
 from patterns.loading import load_rules, rule_files
 from patterns.parser import parse
-from patterns.processor import Processor, deploy
+from patterns.processor import OpenMatches, ProcessorLimits, deploy, schemas
 from patterns.rule import Rule
 from store import Log
 from vian.clock import utc_now
 from vian.errors import WrongUsage
-from vian.parts import Part, stepping
-
-logger = structlog.get_logger()
-
-_STEP_SECONDS = 1.0
+from vian.settings import Settings
 
 
 def load_all(paths: Sequence[Path]) -> list[Rule]:
@@ -66,8 +61,9 @@ def misplaced(log: Log, rules: Sequence[Rule]) -> list[str]:
     heads = log.streams()
     remarks = []
     for rule in rules:
-        wanted = parse(rule.passage("match")).source_type.name.lower()
-        sources = sorted({head.stream.source for head in heads if head.stream.type == wanted})
+        types = sorted({arm.source_type.name.lower() for arm in parse(rule.passage("match")).arms})
+        wanted = " or ".join(types)
+        sources = sorted({head.stream.source for head in heads if head.stream.type in types})
         for kind, shapes in (("zone", rule.zones), ("line", rule.lines)):
             remarks += [
                 f"{rule.rule}: {kind} {name!r} is of source {shape.source}, of which this log has no {wanted}; it has: "
@@ -79,42 +75,45 @@ def misplaced(log: Log, rules: Sequence[Rule]) -> list[str]:
 
 
 def file_text(rule: Rule) -> str:
-    """The rule as a rule file: the file's own text, or what the rule says where it was changed after loading."""
-    if rule.path is not None:
+    """The rule as a rule file that needs no other: the file's own text, or the rule written out."""
+    if rule.path is not None and rule.is_whole:
         return rule.path.read_text(encoding="utf-8")
-    return yaml.safe_dump(_plain(rule.model_dump(mode="python")), sort_keys=False, allow_unicode=True)
+    return expand(rule)
 
 
-def deploy_all(log: Log, station: str, rules: Sequence[Rule]) -> list[Rule]:
-    """Record the rules as deployed now, where they are new; those that were new."""
-    return deploy(log, station, rules, {rule.rule: file_text(rule) for rule in rules}, utc_now())
+def deploy_all(
+    log: Log,
+    station: str,
+    rules: Sequence[Rule],
+    *,
+    after: int | Literal["default", "head"] = "default",
+    open_matches: OpenMatches = "finished",
+    is_shadow: bool | None = None,
+) -> list[Rule]:
+    """Record the rules as deployed now, where that changes anything; those for which it did. See `deploy`."""
+    texts = {rule.rule: file_text(rule) for rule in rules}
+    now = utc_now()
+    return deploy(log, station, rules, texts, now, after=after, open_matches=open_matches, is_shadow=is_shadow)
 
 
-def processor_part(log: Log, station: str, path: Path) -> Part:
-    """The rules of a file or folder, deployed and run as a supervised part."""
-    rules = load_all([path])
-    for remark in misplaced(log, rules):
-        logger.warning("rule may find nothing", remark=remark)
-    processor = Processor(log, station, rules, now=utc_now)
-    deploy_all(log, station, rules)  # only once it is known that they fit
-    told: set[str] = set()
+def check_fit(log: Log, rules: Sequence[Rule]) -> None:
+    """Nothing, if the rules fit the log's event types.
 
-    def step() -> None:
-        processor.step(_STEP_SECONDS)
-        for name, failure in processor.failures.items():
-            if name not in told:
-                told.add(name)
-                logger.error("rule set aside", rule=name, error=str(failure))
-
-    return stepping("rules", step, log, processor.close)
+    Raises:
+        RuleError: One does not.
+    """
+    known = schemas(log.catalogue)
+    for rule in rules:
+        bind(rule, known)
 
 
-def _plain(value: Any) -> Any:
-    """The value as YAML has it: durations in seconds with their unit."""
-    if isinstance(value, dict):
-        return {key: _plain(each) for key, each in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(each) for each in value]
-    if isinstance(value, timedelta):
-        return f"{value / timedelta(milliseconds=1):g} ms"
-    return value.isoformat() if isinstance(value, datetime) else value
+def limits_of(settings: Settings) -> ProcessorLimits:
+    """The processor's limits, as the settings say them."""
+    return ProcessorLimits(
+        save_every_s=settings.rules_save_s,
+        save_every_events=settings.rules_save_events,
+        ahead=timedelta(seconds=settings.rules_ahead_s) if settings.rules_ahead_s else None,
+        event_us=settings.rules_event_us or None,
+        slow_windows=settings.rules_slow_windows,
+        finish=timedelta(hours=settings.rules_finish_h),
+    )

@@ -145,3 +145,23 @@ def trees(variables: str, leaves: int = 5) -> st.SearchStrategy[Tree]:
         )
 
     return st.recursive(st.sampled_from(variables).map(lambda name: ("var", name)), grown, max_leaves=leaves)
+
+
+@st.composite
+def partitions(draw: st.DrawFn) -> list[list[dict[str, Any]]]:
+    """Rows of one or two partitions, with times that tie and numbers that are NULL."""
+    result = []
+    for key in range(draw(st.integers(1, 2))):
+        rows = draw(
+            st.lists(
+                st.tuples(st.integers(0, 2), st.sampled_from("abc"), st.one_of(st.none(), st.integers(0, 3))),
+                max_size=7,
+            )
+        )
+        us = 0
+        records = []
+        for index, (step, letter, n) in enumerate(rows):
+            us += step
+            records.append({"us": us, "key": key, "letter": letter, "n": n, "sequence": key * 1000 + index})
+        result.append(records)
+    return result

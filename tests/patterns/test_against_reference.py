@@ -6,8 +6,8 @@ from hypothesis import assume, given, note, settings
 from hypothesis import strategies as st
 
 from patterns import SkipError, bind, match
-from tests.patterns.reference import Condition, Reference, SkipFails, TooSlow, Tree, rendered
-from tests.patterns.samples import SCHEMAS, bound_unless_empty, classified, letter_rows, letter_rule, trees
+from tests.patterns.reference import Condition, Reference, SkipFails, TooSlow, Tree, rendered, variables
+from tests.patterns.samples import SCHEMAS, bound_unless_empty, classified, letter_rows, letter_rule, partitions, trees
 
 EXAMPLES = int(os.environ.get("VIAN_PATTERN_EXAMPLES", "600"))
 
@@ -81,32 +81,6 @@ def _joined(join: Any, left: Condition, right: Condition) -> Condition:
     return lambda seen: join(left(seen), right(seen))
 
 
-@st.composite
-def partitions(draw: st.DrawFn) -> list[list[dict[str, Any]]]:
-    """Rows of one or two partitions, with times that tie and numbers that are NULL."""
-    result = []
-    for key in range(draw(st.integers(1, 2))):
-        rows = draw(
-            st.lists(
-                st.tuples(st.integers(0, 2), st.sampled_from("abc"), st.one_of(st.none(), st.integers(0, 3))),
-                max_size=7,
-            )
-        )
-        us = 0
-        records = []
-        for index, (step, letter, n) in enumerate(rows):
-            us += step
-            records.append({"us": us, "key": key, "letter": letter, "n": n, "sequence": key * 1000 + index})
-        result.append(records)
-    return result
-
-
-def _variables(tree: Tree) -> set[str]:
-    if tree[0] == "var":
-        return {tree[1]}
-    return _variables(tree[1]) if tree[0] == "rep" else {name for part in tree[1] for name in _variables(part)}
-
-
 @settings(max_examples=EXAMPLES, deadline=None)
 @given(
     tree=trees("ABC"),
@@ -124,7 +98,7 @@ def test_the_engine_finds_what_the_definition_says(
     target: str,
     within: int | None,
 ) -> None:
-    used = _variables(tree)
+    used = variables(tree)
     # Conditions may name variables that the pattern lacks: those are errors, tried elsewhere.
     chosen = {own: choice for own, choice in chosen.items() if own in used}
     assume(all(f"{other}." not in sql for sql, _ in chosen.values() for other in {"A", "B", "C"} - used))
@@ -151,7 +125,7 @@ def test_the_engine_finds_what_the_definition_says(
     found = match(bound, table) if bound else []
     for key, partition in enumerate(wanted):
         expected = [
-            {name: [key * 1000 + at for other, at in mapped if other == name] for name, _ in mapped}
+            {own.variable: [key * 1000 + each.at for each in mapped if each.variable == own.variable] for own in mapped}
             for mapped in partition
         ]
         assert [classified(each) for each in found if each.partition["key"] == key] == expected

@@ -22,7 +22,7 @@ def backtested(log: Log, tried: Rule, **span: Any) -> list[Draft]:
     return [
         draft
         for segment in log.read_all(types=run.types)
-        for draft in drafts_of(tried, STATION, run.take(segment))
+        for draft in drafts_of(tried, STATION, run.take(segment).matches)
     ]  # fmt: skip
 
 

@@ -323,7 +323,6 @@ def test_what_a_measure_must_not_say(measure: str, place: int, message: str) -> 
         ("ORDER BY nope MEASURES 1 AS m PATTERN (A)", "ORDER BY: unknown column 'nope'"),
         ("ORDER BY id MEASURES 1 AS m PATTERN (A) WITHIN INTERVAL '1' DAY", "WITHIN needs ORDER BY with a time"),
         ("MEASURES 1 AS m PATTERN (A) WITHIN INTERVAL '1' DAY", "WITHIN needs ORDER BY with a time"),
-        ("PATTERN (A)", "gives rows without columns; add MEASURES"),
         ("MEASURES 1 AS m PATTERN (A{30000,})", "a quantifier's bound is at most 10000"),
         ("MEASURES 1 AS m PATTERN ((A{200}){200})", "unfolds to 40000 positions; the limit `positions` is 10000"),
     ],

@@ -14,6 +14,7 @@ from patterns.emitter import Emitter
 from patterns.errors import FrameSizeUnknown
 from patterns.rule import EmitSettings
 from patterns.running import RuleRun
+from patterns.site import Site
 from patterns.whynot import Answer, Decided, Past, Question, SubjectUnclear, Verdict, default_window, why_not
 from tests.patterns.samples import BEGINNING, SCHEMAS
 
@@ -83,7 +84,7 @@ def asked(bound: BoundRule, table: pa.Table, second: float = 10.0, subject: str 
         is_let = emitter.lets_through(match, int(at.timestamp() * 1e6))
         decided.append(Decided(match, None if is_let else decided[0].match))
     question = Question(BEGINNING + timedelta(seconds=second), subject, past.pop("source", None), default_window(bound))
-    return why_not(bound, question, Past(table, decided=decided, frame_sizes=past.pop("sizes", SIZES), **past))
+    return why_not(bound, question, Past(table, decided=decided, site=Site.of(SIZES), **past))
 
 
 def test_a_stay_that_was_too_short_says_by_how_much_and_what_ended_it() -> None:
@@ -177,7 +178,7 @@ def test_rows_that_another_match_took_are_said_to_be_covered() -> None:
 def test_a_match_that_the_watermark_has_not_passed_is_not_final() -> None:
     table = rows([(0, 20), (1, 60), (12, 70)])
     question = Question(BEGINNING + timedelta(seconds=10), "7", None, timedelta(minutes=1))
-    answer = why_not(loitering(), question, Past(table, frame_sizes=SIZES, watermark=BEGINNING))
+    answer = why_not(loitering(), question, Past(table, site=Site.of(SIZES), watermark=BEGINNING))
     assert answer.verdict is Verdict.NOT_FINAL
     assert "the watermark stands at 2026-01-01T10:00:00Z" in answer.headline
     assert [each.variable for each in answer.taken] == ["apart", "entry", "dwell"]
@@ -203,9 +204,9 @@ def test_rows_that_came_late_are_said_to_be() -> None:
     table = rows([(0, 20), (1, 60)])
     late = frozenset(("here/gate/track_point", sequence) for sequence in (1, 2))
     question = Question(BEGINNING, "7", None, timedelta(minutes=1))
-    answer = why_not(loitering(), question, Past(table, late=late, frame_sizes=SIZES))
+    answer = why_not(loitering(), question, Past(table, late=late, site=Site.of(SIZES)))
     assert answer.verdict is Verdict.LATE
-    answer = why_not(loitering(), question, Past(table, late=frozenset([*late][:1]), frame_sizes=SIZES))
+    answer = why_not(loitering(), question, Past(table, late=frozenset([*late][:1]), site=Site.of(SIZES)))
     assert answer.notes[0] == "1 of its 2 rows came too late to take part"
 
 

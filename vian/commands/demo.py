@@ -31,6 +31,9 @@ def demo(
         Path | None,
         typer.Option("--video", help="Video file.", show_default="a sample clip: VIAN_DATA, download, or rendered"),
     ] = None,
+    rendered: Annotated[
+        bool, typer.Option("--rendered", help="Show the street scene that ViAn renders itself; needs no network.")
+    ] = False,
     report: Annotated[Path, typer.Option("--report", help="File of the HTML report.")] = REPORT,
     data_dir: options.DataDir = None,
     dsn: options.Dsn = None,
@@ -40,7 +43,7 @@ def demo(
     settings = settings_for(data_dir, dsn)
     output = Output(is_json=as_json)
     _check_writable(report)
-    clip = choose(video, settings.data, output.note)
+    clip = choose(video, settings.data, output.note, is_rendered=rendered)
     output.note(f"clip: {clip.path}" + (f"\n{clip.attribution}" if clip.attribution else ""))
     if clip.origin is Origin.GIVEN:
         video_files.probe(clip.path)  # what is no video is told before two servers are started

@@ -105,7 +105,9 @@ def _ran(log: Log, rule: Rule, span: Span, output: Output) -> Backtested:
 def _remark(bound: BoundRule, result: Backtested, is_open: bool, output: Output) -> None:
     label = _label(bound.rule)
     if not result.rows:
-        output.note(f"{label}: the log has no {bound.type} that the rule could see. Next: vian streams")
+        output.note(
+            f"{label}: the log has no {' or '.join(sorted(bound.types))} that the rule could see. Next: vian streams"
+        )
     if result.late:
         output.note(f"{label}: {result.late} events came too late to take part, as online")
     if result.waiting and is_open:

@@ -54,7 +54,9 @@ class Clip:
         return self.origin in (Origin.SAMPLES, Origin.DOWNLOAD)
 
 
-def choose(given: Path | None, samples: Path, note: Callable[[str], None], *, url: str = URL) -> Clip:
+def choose(
+    given: Path | None, samples: Path, note: Callable[[str], None], *, url: str = URL, is_rendered: bool = False
+) -> Clip:
     """The clip to show.
 
     Args:
@@ -62,15 +64,20 @@ def choose(given: Path | None, samples: Path, note: Callable[[str], None], *, ur
         samples: Folder of sample videos; may not exist.
         note: Told what the user should know.
         url: Where the pinned clip is.
+        is_rendered: The rendered street is wanted, whatever else there is.
 
     Raises:
-        WrongUsage: The named file does not exist.
+        WrongUsage: The named file does not exist, or the rendered street is wanted beside it.
         WorldFailed: There is no place for the others.
     """
     if given is not None:
+        if is_rendered:
+            raise WrongUsage("give either --video or --rendered, got both")
         if not given.is_file():
             raise WrongUsage(f"--video must be a video file, got {given}, which is not a file")
         return Clip(given, Origin.GIVEN, None)
+    if is_rendered:
+        return _street()
     if (samples / _IN_SAMPLES).is_file():
         return Clip(samples / _IN_SAMPLES, Origin.SAMPLES, ATTRIBUTION)
     try:
@@ -79,6 +86,10 @@ def choose(given: Path | None, samples: Path, note: Callable[[str], None], *, ur
         return Clip(_downloaded(url), Origin.DOWNLOAD, ATTRIBUTION)
     except (OSError, ValueError) as error:
         note(f"the sample clip cannot be downloaded ({_reason(error)}); showing a rendered street scene instead")
+    return _street()
+
+
+def _street() -> Clip:
     try:
         return Clip(_rendered(), Origin.RENDERED, "Clip: a street scene rendered by ViAn itself")
     except OSError as error:

@@ -66,7 +66,7 @@ def test_a_rule_without_tests_fits_and_that_is_said(run: Run, tmp_path: Path) ->
         ("PARTITION BY source", "PARTITION source", "PARTITION"),
         ("ORDER BY time", "ORDER time", "ORDER"),
         ("MEASURES a.x AS at", "MEASURES a.nil AS at", "nil"),
-        ("ONE ROW PER MATCH", "ALL ROWS PER MATCH", "not supported yet"),
+        ("ONE ROW PER MATCH", "ALL ROWS PER MATCH", "a situation is one row"),
         ("SKIP PAST LAST ROW", "SKIP SOMEWHERE", "SKIP"),
         ("PATTERN (a)", "PATTERN (a", "PATTERN"),
         ("PATTERN (a)", "PATTERN ()", "PATTERN"),
