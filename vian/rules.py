@@ -1,12 +1,14 @@
 """Rules from files into service."""
 
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 
 import structlog
 
+from patterns.errors import RuleError
 from patterns.expanding import expand
-from patterns.loading import load_rules, rule_files
+from patterns.loading import load_rule, load_rules, rule_files
 from patterns.parser import parse
 from patterns.processor import Processor, deploy
 from patterns.rule import Rule
@@ -57,6 +59,16 @@ def files_of(paths: Sequence[Path]) -> list[Path]:
     if not files:
         raise WrongUsage(f"no rule files (*.yaml) in {', '.join(map(str, paths))}")
     return files
+
+
+def readable_rules(files: Sequence[Path]) -> list[Rule]:
+    """The rules of those of the files that are rules, one of a name."""
+    rules: dict[str, Rule] = {}
+    for file in files:
+        with suppress(RuleError, OSError):
+            rule = load_rule(file)
+            rules.setdefault(rule.rule, rule)
+    return list(rules.values())
 
 
 def misplaced(log: Log, rules: Sequence[Rule]) -> list[str]:

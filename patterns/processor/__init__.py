@@ -8,7 +8,17 @@
 This package alone, of `patterns`, knows the log.
 """
 
-from patterns.processor.deploying import Retirement, Service, deploy, retire, rule_of, schemas, standing, written
+from patterns.processor.deploying import (
+    Retirement,
+    Service,
+    deploy,
+    readable_by,
+    retire,
+    rule_of,
+    schemas,
+    standing,
+    written,
+)
 from patterns.processor.limits import ProcessorLimits
 from patterns.processor.processor import Processor, Step
 from patterns.processor.saving import stored_mark, stored_state
@@ -23,6 +33,7 @@ __all__ = [
     "Step",
     "deploy",
     "drafts_of",
+    "readable_by",
     "retire",
     "rule_of",
     "schemas",
