@@ -5,7 +5,7 @@ silently.
 """
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 from typing import Any
@@ -208,20 +208,19 @@ def _rows(log: Log, segment: Segment, wanted: MatchedRange) -> list[Row]:
     return list(rows.slice(begin, wanted.last_sequence - first - begin + 1).to_pylist())
 
 
-def _own(rows: list[Row], partition: dict[str, Any], bound: BoundRule | None, site: Site) -> list[Row]:
-    """The rows of the partition; where the rule is known, only those that FROM lets through."""
-    if bound is None:
+def _own(rows: list[Row], partition: Mapping[str, Any], bound: BoundRule | None, site: Site) -> list[Row]:
+    """The rows of the partition that the rule reads; without the rule, those with the partition's columns."""
+    if bound is None or not rows:
         return [row for row in rows if all(_plain(row.get(name)) == value for name, value in partition.items())]
     places = Places(bound.rule.zones, bound.rule.lines, site)
-    shaped = rows_of(bound.inputs, pa.Table.from_pylist(rows), StreamNumbers(), places) if rows else None
-    if shaped is None:
+    read = rows_of(bound.inputs, pa.Table.from_pylist(rows), StreamNumbers(), places)
+    if read is None:
         return []
-    keys = {name: [_plain(as_python(each, bound.columns[name])) for each in shaped.column(name).to_pylist()]
-            for name in partition}  # fmt: skip
     own = {
-        sequence for at, sequence in enumerate(shaped.column(SEQUENCE).to_pylist())
-        if all(keys[name][at] == value for name, value in partition.items())
-    }  # fmt: skip
+        row[SEQUENCE]
+        for row in read.select([SEQUENCE, *bound.keys]).to_pylist()
+        if all(_plain(as_python(row[name], bound.columns[name])) == partition.get(name) for name in bound.keys)
+    }
     return [row for row in rows if row["sequence"] in own]
 
 
