@@ -39,9 +39,7 @@ def strata(rules: Iterable[Rule]) -> dict[str, int]:
     """
     by_name = {rule.rule: rule for rule in rules}
     found: dict[str, int] = {}
-    for name in by_name:
-        _stratum(name, by_name, found, ())
-    return found
+    return {name: _stratum(name, by_name, found, ()) for name in by_name}
 
 
 def in_strata(rules: Sequence[Rule]) -> list[Rule]:

@@ -13,6 +13,7 @@ from patterns.loading import load_rule, load_rules, rule_files
 from patterns.parser import parse
 from patterns.processor import OpenMatches, ProcessorLimits, deploy, schemas
 from patterns.rule import Rule
+from patterns.strata import with_situations
 from store import Log
 from vian.clock import utc_now
 from vian.errors import WrongUsage
@@ -114,7 +115,7 @@ def check_fit(log: Log, rules: Sequence[Rule]) -> None:
     Raises:
         RuleError: One does not.
     """
-    known = schemas(log.catalogue)
+    known = with_situations(schemas(log.catalogue), rules)
     for rule in rules:
         bind(rule, known)
 

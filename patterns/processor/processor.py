@@ -353,6 +353,9 @@ class Processor:
         self._is_stale = True  # until what follows from the segments is known, the rules are ahead of it
         findings = [finding for segment in segments for finding in self._taken(self._main, segment)]
         self._main.position = position
+        if self._main.reads_situations:
+            is_caught_up = is_caught_up and not segments  # what these led to is still to be read
+            findings += self._main.settle() if is_caught_up else []
         if is_caught_up and self._now is not None:
             findings += self._main.fall_idle(self._now())
         self._subscription.position = position
