@@ -9,7 +9,7 @@ from typing import Literal
 from patterns.binder import bind
 from patterns.errors import RuleError
 from patterns.expanding import expand
-from patterns.loading import load_rule, load_rules, rule_files
+from patterns.loading import load_rule, load_rules, rule_files, yaml_files
 from patterns.parser import parse
 from patterns.processor import OpenMatches, ProcessorLimits, deploy, schemas
 from patterns.rule import Rule
@@ -44,14 +44,15 @@ def load_all(paths: Sequence[Path]) -> list[Rule]:
     return rules
 
 
-def files_of(paths: Sequence[Path]) -> list[Path]:
-    """The rule files of files and folders, in order, each once.
+def files_of(paths: Sequence[Path], *, with_stages: bool = False) -> list[Path]:
+    """The rule files of files and folders, in order, each once; those of stages too, where they are wanted.
 
     Raises:
         WrongUsage: There are none, or a folder cannot be read.
     """
     try:
-        files = list(dict.fromkeys(file for path in paths for file in rule_files(path)))
+        files_in = yaml_files if with_stages else rule_files
+        files = list(dict.fromkeys(file for path in paths for file in files_in(path)))
     except OSError as error:
         raise WrongUsage(f"the folder {error.filename} cannot be read: {error.strerror}") from error
     if not files:
