@@ -70,7 +70,11 @@ def test_every_option_is_explained(path: tuple[str, ...]) -> None:
 
 @pytest.mark.parametrize(
     "path",
-    [p for p in ALL if p[0] not in ("rules", "stages", "station", "events", "evidence") or p[1:] in (("run",), ("export",))],
+    [
+        p
+        for p in ALL
+        if p[0] not in ("rules", "stages", "station", "events", "evidence") or p[1:] in (("run",), ("export",))
+    ],
     ids=" ".join,
 )
 def test_every_command_takes_an_embedded_or_an_external_log(path: tuple[str, ...]) -> None:
