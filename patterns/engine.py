@@ -307,7 +307,8 @@ def machine_of(bound: BoundRule, places: Places, masks: tuple[int, ...]) -> Mach
 def live_registers(bound: BoundRule) -> tuple[tuple[int, ...], ...]:
     """For each position the registers whose value after it can still change which match is found."""
     reads = [_guard_reads(bound, variable) for variable in range(len(bound.variables))]
-    return _live(bound.tables, bound.registers, reads, frozenset(bound.timers))
+    live = _live(bound.tables, bound.registers, reads)
+    return tuple(tuple(sorted({*each, *bound.timers})) for each in live)
 
 
 def _guard_reads(bound: BoundRule, variable: int) -> set[int]:

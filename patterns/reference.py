@@ -26,10 +26,10 @@ with: {zone: yard, min_duration: 30 s}
 shared: [yard]                          # drawn with vian zones define, or here under `zones:`
 ```
 
-Title, severity, `time` and `emit` are the template's where the rule does not say them. `vian rules expand FILE` prints
-the rule as a person would write it in SQL; both are the same rule, with the same hash. `vian rules new NAME --template
-T` writes a new file. Values have units: durations (`30 s`), lengths and speeds on the ground (`2.5 m`, `50 km/h`), which
-need a calibrated camera, and lengths and speeds in the picture (`80 px`, `15 px/s`).
+Title, severity, `time` and `emit` are the template's where the rule does not say them. `vian rules expand FILE`
+prints the rule as a person would write it in SQL; both are the same rule, with the same hash. `vian rules new NAME
+--template T` writes a new file. Values have units: durations (`30 s`), lengths and speeds on the ground (`2.5 m`,
+`50 km/h`), which need a calibrated camera, and lengths and speeds in the picture (`80 px`, `15 px/s`).
 
 ONVIF names are those of the rules in the ONVIF Analytics Service Specification and of its events under
 `tns1:RuleEngine`, and of `tns1:VideoSource`. A template that bears one finds what that rule is for; its parameters are

@@ -60,10 +60,7 @@ def updated(registers: Registers, updates: tuple[Update, ...], values: Sequence[
 
 
 def live_registers(
-    tables: Tables,
-    registers: Sequence[Register],
-    reads: Sequence[AbstractSet[int]],
-    always: AbstractSet[int] = frozenset(),
+    tables: Tables, registers: Sequence[Register], reads: Sequence[AbstractSet[int]]
 ) -> tuple[tuple[int, ...], ...]:
     """For each position the registers whose value after it can still change which match is found.
 
@@ -73,7 +70,6 @@ def live_registers(
         tables: The pattern.
         registers: What a match remembers.
         reads: For each variable the registers that its guard reads.
-        always: Registers that are live everywhere: the times that timers are set to.
     """
     overwritten = [
         {index for index, each in enumerate(registers) if each.takes(at) and each.how == "last" and not each.offset}
@@ -83,7 +79,7 @@ def live_registers(
     for position, following in enumerate(tables.follow[: tables.start]):
         for after in following:
             before[after].append(position)
-    live: list[set[int]] = [set(always) for _ in tables.variables]
+    live: list[set[int]] = [set() for _ in tables.variables]
     changed = list(range(len(live)))
     while changed:
         after = changed.pop()
