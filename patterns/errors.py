@@ -7,6 +7,7 @@ PatternError
 ├── MatchError           a rule that cannot go on with the rows it was given
 │   ├── SkipError        AFTER MATCH SKIP has no row to go to
 │   ├── LimitError       a limit of `Limits` was reached; names it
+│   ├── RuleTooSlow      a rule took longer for its events than it may
 │   ├── FrameSizeUnknown a normalised zone or line met a row of a source of unknown frame size
 │   └── CalibrationUnknown  metres were asked of a source that is not calibrated
 └── StateError           bytes that are not the saved state of this rule
@@ -67,6 +68,10 @@ class SkipError(MatchError):
 
 class LimitError(MatchError):
     """A limit of `Limits` was reached; the message names it."""
+
+
+class RuleTooSlow(MatchError):
+    """A rule took longer for its events than it may; the message names the limit."""
 
 
 class FrameSizeUnknown(MatchError):

@@ -134,6 +134,7 @@ class Rule(_Frozen):
     profile: Literal["full", "portable"] = "full"
     template: Name | None = None
     given: Mapping[str, Any] = Field(default_factory=dict, alias="with")
+    shadow: bool = Field(default=False, strict=True)
     match: str = Field(min_length=1)
     tests: tuple[Case, ...] = ()
 

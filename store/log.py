@@ -132,6 +132,28 @@ class Transaction:
         assert row is not None, "the row was inserted above"
         return Checkpoint(*row)
 
+    def checkpoints(self, names: Sequence[str]) -> dict[str, Checkpoint]:
+        """The subscribers' checkpoints by name, locked until the transaction ends, in two round trips for all."""
+        wanted = sorted(set(names))  # one order for all, so that no two wait for each other in a circle
+        self.connection.execute(
+            "insert into checkpoints (name, position, state) select unnest(%s::text[]), 0, '' on conflict do nothing",
+            (wanted,),
+        )
+        rows = self.connection.execute(
+            "select name, position, state from checkpoints where name = any(%s) order by name for update", (wanted,)
+        ).fetchall()
+        return {name: Checkpoint(position, state) for name, position, state in rows}
+
+    def save_checkpoints(self, checkpoints: Mapping[str, Checkpoint]) -> None:
+        """Set many subscribers' checkpoints in one round trip."""
+        names = sorted(checkpoints)
+        self.connection.execute(
+            "insert into checkpoints (name, position, state) "
+            "select * from unnest(%s::text[], %s::bigint[], %s::bytea[]) on conflict (name) do update "
+            "set position = excluded.position, state = excluded.state, saved_at = now()",
+            (names, [checkpoints[name].position for name in names], [checkpoints[name].state for name in names]),
+        )
+
     def _compared(
         self,
         index: int,

@@ -8,7 +8,7 @@ checkpoint, so delivery is at least once, and exactly once in effect when output
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import TracebackType
 from typing import Any, Self
 
@@ -73,6 +73,10 @@ class Subscription:
                 self.position = delivery.position
                 return delivery
             self._wait(min(remaining, POLL_SECONDS))
+
+    def want(self, types: Sequence[str]) -> None:
+        """Give only segments of these types from the next poll on."""
+        self._filter = replace(self._filter, types=types)
 
     def close(self) -> None:
         """Stop listening."""

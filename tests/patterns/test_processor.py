@@ -9,95 +9,26 @@ import psycopg
 import pytest
 
 from events import (
-    EventType,
-    ProcessFinished,
     Producer,
-    SituationDetected,
     StreamName,
-    TrackPoint,
-    VideoAdded,
-    batch_of,
-    decode,
-    encode,
-    events_of,
 )
 from patterns.errors import PatternError
-from patterns.loading import parse_rule
-from patterns.processor import Processor, checkpoint_name, deploy, schemas
-from patterns.rule import Rule
+from patterns.processor import Processor, ProcessorLimits, deploy, schemas
 from store import Log, LogUnavailable, Transaction
 from tests.conftest import MakeLog
-
-T0 = datetime(2026, 1, 1, 10, tzinfo=UTC)
-STATION = "brno"
-PRODUCER = Producer("motion", "1", bytes(32))
-
-
-def rule(name: str = "enters", *, version: int = 1, source: str = "gate", **changed: str) -> Rule:
-    parts = {
-        "partition": "source, track_id",
-        "measures": "inside.time AS entered_at, inside.x AS x",
-        "pattern": "(outside inside)",
-        "skip": "SKIP PAST LAST ROW",
-        "time": "{lateness: 1 s}",
-    } | changed
-    return parse_rule(f"""
-rule: {name}
-version: {version}
-title: "track {{track_id}} came in"
-severity: warning
-zones: {{yard: {{source: {source}, polygon: [[0.5, 0], [1, 0], [1, 1], [0.5, 1]]}}}}
-time: {parts["time"]}
-match: |
-  SELECT * FROM track_point MATCH_RECOGNIZE (
-    PARTITION BY {parts["partition"]} ORDER BY time, sequence
-    MEASURES {parts["measures"]}
-    ONE ROW PER MATCH AFTER MATCH {parts["skip"]}
-    PATTERN {parts["pattern"]}
-    DEFINE outside AS NOT in_zone(outside.x, outside.y, 'yard'), inside AS in_zone(inside.x, inside.y, 'yard'))
-""")
-
-
-def point(track: int, second: float, x: float) -> TrackPoint:
-    rest = dict.fromkeys(("y", "x1", "y1", "x2", "y2", "vx", "vy"), 10.0)
-    return TrackPoint(
-        time=T0 + timedelta(seconds=second), track_id=track, frame=int(second * 10), x=x, confidence=1.0, **rest
-    )
-
-
-def say(log: Log, source: str, *events: EventType) -> None:
-    stream = StreamName.of(STATION, source, events[0].type_name)
-    log.append([encode(stream, batch_of(events), PRODUCER)])
-
-
-def add_video(log: Log, source: str) -> None:
-    size = {"width": 100, "height": 100, "fps": 10.0, "frames_expected": 10, "codec": "h264"}
-    say(log, source, VideoAdded(time=T0, video="00", path="v", started_at=T0, **size))
-
-
-def end(log: Log, source: str, second: float = 60.0) -> None:
-    at = T0 + timedelta(seconds=second)
-    say(log, source, ProcessFinished(time=at, process="p", frames=1, events=1, gaps=0))
-
-
-def walkers(log: Log, source: str = "gate", tracks: int = 3, seconds: int = 12) -> None:
-    """Tracks that go in and out of the right half, a second a segment."""
-    add_video(log, source)
-    for second in range(seconds):
-        inside = [(track + second) % 4 < 2 for track in range(tracks)]
-        say(log, source, *(point(t + 1, second, 80 if i else 20) for t, i in enumerate(inside)))
-    end(log, source)
-
-
-def situations(log: Log) -> list[SituationDetected]:
-    found: list[Any] = []
-    for segment in log.read_all(types=["situation_detected"]):
-        found += events_of(decode(segment, log.catalogue))
-    return found
-
-
-def heads(log: Log) -> list[tuple[str, int, bytes]]:
-    return [(str(head.stream), head.sequence, head.chain_hash) for head in log.streams()]
+from tests.patterns.walkers import (
+    STATION,
+    T0,
+    add_video,
+    end,
+    heads,
+    point,
+    rule,
+    said,
+    say,
+    situations,
+    walkers,
+)
 
 
 @pytest.fixture
@@ -151,11 +82,12 @@ def test_following_live_finds_what_running_over_history_finds(make_log: MakeLog,
 def test_a_new_processor_for_every_segment_finds_the_same(make_log: MakeLog, walked: tuple[Log, list[Any]]) -> None:
     log = make_log()
     walkers(log)
-    last = log.head()
-    while log.checkpoint(checkpoint_name(STATION, rule())).position < last:
-        processor = Processor(log, STATION, [rule()])
-        processor._subscription._limit = 1
+    position, last = 0, log.head()
+    while position < last:
+        processor = Processor(log, STATION, [rule()], limits=ProcessorLimits(segments=1))
         processor.step()
+        position = processor.position
+        processor.close()
 
     assert heads(log) == walked[1]
 
@@ -166,14 +98,13 @@ def test_running_again_over_the_same_log_appends_nothing(walked: tuple[Log, list
     assert heads(log) == before
 
 
-@pytest.mark.parametrize("fails_at", ["append", "save_checkpoint"])
+@pytest.mark.parametrize("fails_at", ["append", "save_checkpoints"])
 def test_a_commit_that_fails_is_done_again_from_the_log(
     make_log: MakeLog, walked: tuple[Log, list[Any]], monkeypatch: pytest.MonkeyPatch, fails_at: str
 ) -> None:
     log = make_log()
     walkers(log)
-    processor = Processor(log, STATION, [rule()])
-    processor._subscription._limit = 3
+    processor = Processor(log, STATION, [rule()], limits=ProcessorLimits(segments=3, save_every_events=1))
     original = getattr(Transaction, fails_at)
     calls = 0
 
@@ -200,9 +131,7 @@ def test_a_commit_that_fails_is_done_again_from_the_log(
 def test_two_processors_at_once_append_each_situation_once(make_log: MakeLog, walked: tuple[Log, list[Any]]) -> None:
     log = make_log()
     walkers(log)
-    pair = [Processor(log, STATION, [rule()]) for _ in range(2)]
-    for processor in pair:
-        processor._subscription._limit = 2
+    pair = [Processor(log, STATION, [rule()], limits=ProcessorLimits(segments=2)) for _ in range(2)]
     for _ in range(20):
         for processor in pair:
             processor.step()
@@ -293,49 +222,51 @@ def test_a_silent_source_stops_holding_the_watermark_after_the_idle_time(make_lo
     assert again.catch_up() == 0
 
 
-def test_late_events_are_counted_and_logged(make_log: MakeLog, caplog: pytest.LogCaptureFixture) -> None:
+def test_late_events_are_counted_and_recorded(make_log: MakeLog) -> None:
     log = make_log()
     add_video(log, "gate")
     say(log, "gate", point(7, 10, 20))
     say(log, "gate", point(7, 3, 80))
     processor = Processor(log, STATION, [rule()])
-    with caplog.at_level(logging.WARNING):
-        processor.catch_up()
+    processor.catch_up()
 
     assert processor.late == {"enters": 1}
-    assert "brno/gate/track_point/2 came too late" in caplog.text
+    (missed,) = said(log, "rule_missed")
+    assert (missed.rule, missed.what, missed.count, missed.stream) == (
+        "enters", "late_events", 1, "brno/gate/track_point",
+    )  # fmt: skip
+    assert (missed.first_sequence, missed.last_sequence, missed.began_at) == (2, 2, T0 + timedelta(seconds=3))
+    assert "time.lateness of the rule (1 s)" in missed.reason
 
 
 def test_a_rule_is_deployed_once_for_each_version(make_log: MakeLog) -> None:
     log = make_log()
     first, second = rule(), rule(version=2, measures="inside.x AS x")
-    texts = {"enters": "the file"}
 
-    assert deploy(log, STATION, [first], texts, T0) == [first]
-    assert deploy(log, STATION, [first], texts, T0) == []
-    assert deploy(log, STATION, [second], texts, T0) == [second]
+    assert deploy(log, STATION, [first], {}, T0) == [first]
+    assert deploy(log, STATION, [first], {}, T0) == []
+    assert deploy(log, STATION, [second], {}, T0) == [second]
     assert log.stream_head(StreamName.of(STATION, "rules", "rule_deployed")).sequence == 2
 
 
 def test_rules_that_were_deployed_before_a_restore_are_deployed_still(make_log: MakeLog) -> None:
     log = make_log()
     first, second = rule(), rule("leaves")
-    deploy(log, STATION, [first], {"enters": "the file"}, T0)
+    deploy(log, STATION, [first], {}, T0)
     with psycopg.connect(log.dsn) as owner:
         owner.execute("update log_head set epoch = 2")
     with Log(log.dsn, log.catalogue) as restored:
-        texts = {"enters": "the file", "leaves": "another"}
-        assert deploy(restored, STATION, [second], texts, T0) == [second]
-        assert deploy(restored, STATION, [first, second], texts, T0) == []
+        assert deploy(restored, STATION, [second], {}, T0) == [second]
+        assert deploy(restored, STATION, [first, second], {}, T0) == []
         with pytest.raises(PatternError, match="enters version 1 is deployed with another content"):
-            deploy(restored, STATION, [rule(measures="inside.x AS x")], texts, T0)
+            deploy(restored, STATION, [rule(measures="inside.x AS x")], {}, T0)
 
 
 def test_a_deployed_version_cannot_change(make_log: MakeLog) -> None:
     log = make_log()
-    deploy(log, STATION, [rule()], {"enters": "the file"}, T0)
+    deploy(log, STATION, [rule()], {}, T0)
     with pytest.raises(PatternError, match=r"enters version 1 is deployed with another content.*a new version"):
-        deploy(log, STATION, [rule(measures="inside.x AS x")], {"enters": "another file"}, T0)
+        deploy(log, STATION, [rule(measures="inside.x AS x")], {}, T0)
 
 
 def test_rules_may_use_every_column_of_envelope_and_type(make_log: MakeLog) -> None:

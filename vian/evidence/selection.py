@@ -130,7 +130,7 @@ def of_situation(log: Log, identity: str) -> Selection:
     selection.want_event(found, "the situation")
     for each in event.lineage:
         stream = StreamName.parse(each.stream)
-        epoch = _epoch(log, stream, found.segment, each.last_sequence)
+        epoch = epoch_of(log, stream, found.segment, each.last_sequence)
         selection.want(stream, epoch, each.first_sequence, each.last_sequence, f"lineage: {each.variable}")
     for lineage in [each for each in selection.wanted if each.why[0].startswith("lineage")]:
         _want_origin(log, selection, lineage)
@@ -271,7 +271,7 @@ def _told(lives: Sequence[StreamHead]) -> str:
     return ", ".join(f"epoch {life.epoch} with sequences 1 to {life.sequence}" for life in lives)
 
 
-def _epoch(log: Log, stream: StreamName, situation: Segment, last_sequence: int) -> int:
+def epoch_of(log: Log, stream: StreamName, situation: Segment, last_sequence: int) -> int:
     """Which life of a stream a situation speaks of: the newest that held so many events when it was recorded.
 
     Its own station's lives are none that began after the situation's.
