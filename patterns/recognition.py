@@ -110,7 +110,8 @@ class _Recognition:
         clause, symbols = self.clause, self.symbols
         partition_by = [symbols.column(column, "PARTITION BY") for column in clause.partition_by]
         order_by = [symbols.column(each.column, "ORDER BY") for each in clause.order_by]
-        self.check_output()
+        self.check_exclusion()
+        self.check_names(partition_by)
         tables = self.tables()
         conditions = conditions_of(symbols)
         measures = Measures(symbols)
@@ -124,10 +125,24 @@ class _Recognition:
 
     # What is checked before any row is looked at.
 
-    def check_output(self) -> None:
+    def check_exclusion(self) -> None:
         if self.clause.rows is RowsPerMatch.ALL_WITH_UNMATCHED and _has_exclusion(self.clause.pattern):
             message = "WITH UNMATCHED ROWS shows every row, so PATTERN must not have {- -}"
             raise self.clause.passage.error(message, self.clause.rows_at)
+
+    def check_names(self, partition_by: Sequence[str]) -> None:
+        """Each column of the result has a name of its own."""
+        is_one = self.clause.rows is RowsPerMatch.ONE
+        taken = {name.lower(): "a column of PARTITION BY" for name in partition_by}
+        taken |= {} if is_one else {name.lower(): "a column of the input" for name in self.table.column_names}
+        for measure in self.clause.measures:
+            name = measure.name.name
+            if name.lower() in taken:
+                message = (
+                    f"MEASURES: {name!r} is the name of {taken[name.lower()]} already; the result would have it twice"
+                )
+                raise self.clause.passage.error(message, measure.name.at)
+            taken[name.lower()] = "another measure"
 
     def tables(self) -> Tables:
         try:

@@ -55,13 +55,6 @@ def excludes(tree: Tree) -> bool:
     return tree[0] == "excl" or any(excludes(part) for part in children(tree))
 
 
-def excludes_twice(tree: Tree) -> bool:
-    """Whether an exclusion lies in another, which the standard forbids."""
-    if tree[0] == "excl":
-        return excludes(tree[1])
-    return any(excludes_twice(part) for part in children(tree))
-
-
 @st.composite
 def numbers(draw: st.DrawFn, names: list[str | None], is_measure: bool) -> Expression:
     """An expression whose value is a number."""
@@ -141,7 +134,7 @@ def measures(draw: st.DrawFn, names: list[str | None]) -> dict[str, Expression]:
 
 @st.composite
 def clauses(draw: st.DrawFn) -> Clause:
-    tree = draw(trees("ABC").filter(lambda tree: not excludes_twice(tree) and variables(tree)))
+    tree = draw(trees("ABC").filter(variables))
     used = sorted(variables(tree))
     subsets = (
         {"U": "".join(draw(st.lists(st.sampled_from(used), min_size=1, unique=True)))} if draw(st.booleans()) else {}

@@ -125,6 +125,14 @@ SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id PATTERN (A) DEFINE A AS x = 'a', �
 SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES LAST(id) ▸PATTERN (A))
 --- error AS
 
+--- case two measures of one name
+SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES id AS i, x AS ▸I PATTERN (A))
+--- error I
+
+--- case a measure with the name of a column that is in the answer too
+SELECT * FROM t MATCH_RECOGNIZE (PARTITION BY x ORDER BY id MEASURES id AS ▸x PATTERN (A))
+--- error x
+
 --- case a subset of an unknown variable
 SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id PATTERN (A B) SUBSET U = (A, ▸C))
 --- error C
@@ -280,10 +288,6 @@ SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id PATTERN (A▸{2,1000000}))
 --- case an exclusion that is not closed
 SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id PATTERN ({- A B▸))
 --- error -}
-
---- case an exclusion in an exclusion
-SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id ALL ROWS PER MATCH PATTERN ({- A ▸{- B -} -}))
---- error {- -} stands inside {- -}
 
 --- case an exclusion with WITH UNMATCHED ROWS
 SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id ▸ALL ROWS PER MATCH WITH UNMATCHED ROWS PATTERN (A {- B -}))

@@ -235,10 +235,3 @@ SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES 'found' AS what ALL ROWS P
 id | what | x
 1 | found | a
 2 | found | b
-
---- case two columns of one name are told apart by a number, as DuckDB does it
-SELECT * FROM r MATCH_RECOGNIZE (PARTITION BY k ORDER BY id MEASURES 'a' AS m, 'b' AS M, FIRST(id) AS k, LAST(x) AS id
-  ALL ROWS PER MATCH PATTERN (A) DEFINE A AS id = 2)
---- wanted
-k | id | m | M_1 | k_1 | id_1 | n | x
-1 | 2 | a | b | 2 | b | 8 | b
