@@ -60,11 +60,12 @@ def _random() -> list[Case]:
 
 
 def _compared(cases: list[Case], folder: Path) -> None:
+    expected = {case.name: comparable(case, ours(case)) for case in cases}
     found = theirs(cases, folder)
     wrong = {}
     situations = 0
     for case in cases:
-        mine = comparable(case, ours(case))
+        mine = expected[case.name]
         yours = comparable(case, found[case.name])
         situations += len(mine)
         if mine != yours:
