@@ -7,11 +7,10 @@ failed, may be deployed again: it then begins anew, behind its retirement unless
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from datetime import datetime, timedelta
-from typing import Any, Literal
+from datetime import datetime
+from typing import Literal
 
 import pyarrow as pa
-import yaml
 
 from events import (
     Catalogue,
@@ -29,6 +28,7 @@ from events import (
     schema_of,
 )
 from patterns.errors import PatternError, RuleError
+from patterns.expanding import expand
 from patterns.loading import parse_rule
 from patterns.processor.writing import SOURCE, producer_of
 from patterns.rule import Rule
@@ -222,7 +222,7 @@ def text_of(rule: Rule, text: str | None) -> str:
     Raises:
         PatternError: No text says it.
     """
-    for said in (text, written(rule)):
+    for said in (text, expand(rule)):
         if said is not None and _says(said, rule):
             return said
     raise PatternError(
@@ -231,27 +231,11 @@ def text_of(rule: Rule, text: str | None) -> str:
     )
 
 
-def written(rule: Rule) -> str:
-    """The rule as a rule file, written anew."""
-    return yaml.safe_dump(_plain(rule.model_dump(mode="python")), sort_keys=False, allow_unicode=True)
-
-
 def _says(text: str, rule: Rule) -> bool:
     try:
         return parse_rule(text, f"<{rule.rule}>").hash == rule.hash
     except RuleError:
         return False
-
-
-def _plain(value: Any) -> Any:
-    """The value as YAML has it: durations in milliseconds with their unit."""
-    if isinstance(value, Mapping):
-        return {key: _plain(each) for key, each in value.items()}
-    if isinstance(value, list | tuple | set | frozenset):
-        return [_plain(each) for each in value]
-    if isinstance(value, timedelta):
-        return f"{value / timedelta(milliseconds=1):.17g} ms"
-    return value.isoformat() if isinstance(value, datetime) else value
 
 
 def _changes(service: Service, rule: Rule, is_shadow: bool, after: int | str) -> bool:

@@ -47,7 +47,7 @@ from patterns.processor.saving import (
 from patterns.processor.writing import SOURCE, producer_of
 from patterns.rule import Rule
 from patterns.situations import as_microseconds
-from store import Log, Subscription
+from store import Log, LogUnavailable, Subscription
 
 logger = logging.getLogger(__name__)
 
@@ -216,6 +216,8 @@ class Processor:
         """Save, and stop listening."""
         try:
             self.save()
+        except LogUnavailable as error:
+            logger.warning("what the rules remember is not saved; the log is read again at the next start: %s", error)
         finally:
             self._subscription.close()
 

@@ -17,12 +17,12 @@ from patterns.rule import Rule
 from store import Projector
 from vian import options
 from vian.clock import utc_now
-from vian.commands import rules_backtest, rules_explain, rules_flink, rules_why_not
+from vian.commands import rules_backtest, rules_explain, rules_flink, rules_service, rules_why_not, rules_write
 from vian.errors import WorldFailed, WrongUsage
 from vian.options import opened, settings_for
 from vian.output import Output
 from vian.parts import Parts, stepping
-from vian.rules import deploy_all, files_of, load_all, misplaced
+from vian.rules import check_fit, deploy_all, files_of, limits_of, load_all, misplaced
 
 app = typer.Typer(help="Write rules, try them on what the log holds, and run them.", no_args_is_help=True)
 
@@ -101,11 +101,12 @@ def run(
     output = Output(is_json=as_json)
     rules = load_all(paths)
     with opened(settings, data_dir=data_dir, is_made=True) as log:
-        processor = Processor(log, settings.station, rules, now=None if once else utc_now)
+        check_fit(log, rules)
         for remark in misplaced(log, rules):
             output.note(f"warning: {remark}")
         for rule in deploy_all(log, settings.station, rules):
             output.note(f"deployed {rule.rule} version {rule.version}")
+        processor = Processor(log, settings.station, rules, now=None if once else utc_now, limits=limits_of(settings))
         found = 0
         if once:
             found = processor.catch_up()
@@ -132,5 +133,5 @@ def run(
         raise WorldFailed(f"rules were set aside: {reasons}")
 
 
-for _module in (rules_backtest, rules_explain, rules_flink, rules_why_not):
+for _module in (rules_write, rules_backtest, rules_explain, rules_why_not, rules_service, rules_flink):
     _module.register(app)

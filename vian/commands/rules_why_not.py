@@ -217,7 +217,7 @@ def _key(event: EventRef) -> tuple[str, int]:
 
 
 def _trail(past: Past, key_row: dict[str, Any], bound: BoundRule) -> list[dict[str, Any]]:
-    same = [row for row in past.rows.to_pylist() if all(row[name] == key_row[name] for name in bound.keys)]
+    same = [row for row in past.rows.to_pylist() if all(row.get(name) == key_row.get(name) for name in bound.keys)]
     return sorted(same, key=lambda row: (row["time"], row["sequence"]))
 
 
