@@ -92,6 +92,9 @@ PORTABLE: dict[str, Construct] = {
     "counted loop beside a TIMER": Construct(
         False, "Flink would count virtual rows among a loop's; beside TIMER write single variables, and * behind one"
     ),
+    "optional first variable beside a TIMER": Construct(
+        False, "in Flink a match would begin at a virtual row there; write a rule with the variable, and one without"
+    ),
     "rows beside a TIMER": Construct(
         False, "Flink would take virtual rows for rows of the match here; name a variable that takes one row"
     ),

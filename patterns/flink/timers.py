@@ -90,6 +90,8 @@ def timed(
         is_set = at > setter_at
         over = (_IS_VIRTUAL, is_other) if is_set else (_IS_VIRTUAL,)
         real = [each for each in conditions[part.variable] if not (isinstance(each, Call) and each.op == TIMER)]
+        if at and all(each.least == 0 for each in elements.parts[:at]):
+            refuse("optional first variable beside a TIMER", part.at)
         if part.variable in (timer.setter, timer.taker) and (part.least, part.most) != (1, 1):
             refuse("TIMER from or in a loop", part.at)
         if (part.is_fixed and part.least == 1) or (part.least, part.most) == (0, 1):

@@ -55,7 +55,12 @@ def _later(rows: pa.Table) -> pa.Table:
 
 def theirs(cases: Sequence[Case], folder: Path) -> dict[str, list[dict[str, Any]]]:
     """What Flink finds, by the case's name; all cases in one process."""
-    jobs = [_job(case, folder) for case in cases]
+    found = run_in_flink([_job(case, folder) for case in cases], folder)
+    return {name: _sorted(rows) for name, rows in found.items()}
+
+
+def run_in_flink(jobs: Sequence[dict[str, Any]], folder: Path) -> dict[str, list[dict[str, Any]]]:
+    """The rows of each job's result, by the job's name; all jobs in one process."""
     (folder / "jobs.json").write_text(json.dumps(jobs), encoding="utf-8")
     results = folder / "results"
     # Flink's process must not see ViAn's folders: it imports modules by their top-level names.
@@ -65,14 +70,14 @@ def theirs(cases: Sequence[Case], folder: Path) -> dict[str, list[dict[str, Any]
         cwd=folder, env=environment, capture_output=True, text=True, timeout=900,
     )  # fmt: skip
     assert ran.returncode == 0, ran.stdout[-4000:] + ran.stderr[-8000:]
-    found: dict[str, list[dict[str, Any]]] = {case.name: [] for case in cases}
+    found: dict[str, list[dict[str, Any]]] = {job["name"]: [] for job in jobs}
     for file in results.glob("**/part-*"):
         for line in file.read_text(encoding="utf-8").splitlines():
             said = json.loads(line)
             row = json.loads(said["row"])
             row.pop("fired_at_ms", None)
             found[said["name"]].append(row)
-    return {name: _sorted(rows) for name, rows in found.items()}
+    return found
 
 
 def comparable(case: Case, rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
