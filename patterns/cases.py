@@ -144,8 +144,8 @@ def _kinds(bound: BoundRule, passage: Passage) -> dict[str, Kind]:
 def compared(wanted: Sequence[Mapping[str, Any]], found: Sequence[Match]) -> str:
     """The difference, one line a situation: `  ` as wanted, `- ` wanted but not found, `+ ` found but not wanted.
 
-    Wanted and found are paired in order; empty if nothing differs. Where nothing at all was wanted or found, a line
-    says that.
+    Wanted and found are paired in order, value below value, and a line `? ` points at those that differ; empty if
+    nothing differs. Where nothing at all was wanted or found, a line says that.
     """
     lines = []
     is_equal = len(wanted) == len(found)
@@ -156,6 +156,9 @@ def compared(wanted: Sequence[Mapping[str, Any]], found: Sequence[Match]) -> str
             lines.append(f"  {shown(want)}")
             continue
         is_equal = False
+        if want is not None and have is not None and len(want) > 1:
+            lines += _side_by_side(want, have)
+            continue
         if want is not None:
             lines.append(f"- {shown(want)}")
         if have is not None:
@@ -166,6 +169,22 @@ def compared(wanted: Sequence[Mapping[str, Any]], found: Sequence[Match]) -> str
     if found and not wanted:
         lines.insert(0, "- (no situation)")
     return "" if is_equal else "\n".join(lines)
+
+
+def _side_by_side(want: Mapping[str, Any], have: Mapping[str, Any]) -> list[str]:
+    """Wanted, found, and carets under the values that differ."""
+    cells = [(shown({name: value}), shown({name: have.get(name, "(no such value)")}), agrees({name: value}, have))
+             for name, value in want.items()]  # fmt: skip
+    widths = [max(len(wanted), len(found)) + 2 for wanted, found, _ in cells]
+    rows = [
+        ("- ", [f"{wanted}, " for wanted, _, _ in cells]),
+        ("+ ", [f"{found}, " for _, found, _ in cells]),
+        ("? ", ["" if is_same else "^" * len(found) for _, found, is_same in cells]),
+    ]
+    return [
+        sign + "".join(text.ljust(width) for text, width in zip(texts, widths, strict=True)).rstrip(", ")
+        for sign, texts in rows
+    ]
 
 
 def _said(found: Match) -> dict[str, Any]:

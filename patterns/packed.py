@@ -15,6 +15,7 @@ from patterns.bound import BoundRule, Register
 from patterns.engine import live_registers
 from patterns.expressions import Call, Const, Crosses, Expr, InZone, Kind, Shift, rebuilt, walk
 from patterns.geometry import Line, Zone
+from patterns.inputs import SITUATION
 from patterns.kernel import Integers, Tables
 from patterns.syntax import SkipMode
 
@@ -81,6 +82,10 @@ def _check(bound: BoundRule) -> None:
     tables = bound.tables
     if tables.has_start_anchor or tables.accepts != tables.accepts_end:
         raise NotPacked("anchors")
+    if bound.timers or any(bound.timed):
+        raise NotPacked("TIMER")
+    if SITUATION in bound.types:
+        raise NotPacked("situations as input")
     if len(bound.registers) > REGISTERS_MOST or len(bound.slots) > SLOTS_MOST or len(bound.variables) > REGISTERS_MOST:
         raise NotPacked(f"more than {REGISTERS_MOST} variables or remembered values")
     for register in bound.registers:

@@ -53,7 +53,6 @@ class _Reader:
     def __init__(self, passage: Passage, at: int) -> None:
         self.passage = passage
         self.at = at
-        self.is_excluded = False
 
     def group(self, depth: int) -> Pattern:
         """What stands in parentheses; nothing is the empty pattern."""
@@ -113,12 +112,8 @@ class _Reader:
 
     def exclusion(self, depth: int) -> Pattern:
         opening = self.at
-        if self.is_excluded:
-            self.fail("PATTERN: {- -} stands inside {- -}; leave out the inner one")
         self.at += 2
-        self.is_excluded = True
         body = self.alternation(depth + 1)
-        self.is_excluded = False
         if not self.stands("-}"):
             if self.peek() == "":
                 self.at = opening
@@ -154,8 +149,8 @@ class _Reader:
         least = int(found[1] or 0)
         is_open = found[0].rstrip("} \t\n").endswith(",")
         most = None if is_open else int(found[3] or found[4] or least)
-        if most is not None and (most < least or most == 0):
-            self.fail(f"PATTERN: a quantifier's upper bound must be at least 1 and its lower bound, got {found[0]}")
+        if most is not None and most < least:
+            self.fail(f"PATTERN: a quantifier's upper bound must be at least its lower bound, got {found[0]}")
         if max(least, most or 0) > REPETITIONS_MOST:
             self.fail(f"PATTERN: a quantifier's bound is at most {REPETITIONS_MOST}, got {found[0]}")
         self.at = found.end()

@@ -62,9 +62,10 @@ def recognise(
         LimitError: A limit was reached.
         MatchError: An expression fails on a row.
     """
-    duck = Duck()
+    limits = limits or Limits()
+    duck = Duck(limits.questions)
     try:
-        return _Recognition(duck, clause, table, dict(params or {}), limits or Limits()).result()
+        return _Recognition(duck, clause, table, dict(params or {}), limits).result()
     finally:
         duck.close()
 
@@ -110,6 +111,7 @@ class _Recognition:
         partition_by = [symbols.column(column, "PARTITION BY") for column in clause.partition_by]
         order_by = [symbols.column(each.column, "ORDER BY") for each in clause.order_by]
         self.check_exclusion()
+        self.check_names(partition_by)
         tables = self.tables()
         conditions = conditions_of(symbols)
         measures = Measures(symbols)
@@ -127,6 +129,20 @@ class _Recognition:
         if self.clause.rows is RowsPerMatch.ALL_WITH_UNMATCHED and _has_exclusion(self.clause.pattern):
             message = "WITH UNMATCHED ROWS shows every row, so PATTERN must not have {- -}"
             raise self.clause.passage.error(message, self.clause.rows_at)
+
+    def check_names(self, partition_by: Sequence[str]) -> None:
+        """Each column of the result has a name of its own."""
+        is_one = self.clause.rows is RowsPerMatch.ONE
+        taken = {name.lower(): "a column of PARTITION BY" for name in partition_by}
+        taken |= {} if is_one else {name.lower(): "a column of the input" for name in self.table.column_names}
+        for measure in self.clause.measures:
+            name = measure.name.name
+            if name.lower() in taken:
+                message = (
+                    f"MEASURES: {name!r} is the name of {taken[name.lower()]} already; the result would have it twice"
+                )
+                raise self.clause.passage.error(message, measure.name.at)
+            taken[name.lower()] = "another measure"
 
     def tables(self) -> Tables:
         try:
@@ -264,19 +280,22 @@ class _Recognition:
         self,
         rows: OrderedRows,
         output: _Output,
-        measured: pa.Table,
+        measured: Sequence[pa.ChunkedArray],
         partition_by: Sequence[str],
         order_by: Sequence[str],
     ) -> pa.Table:
-        names = list(dict.fromkeys(partition_by))
+        names = list(partition_by)
         rest: list[str] = []
         if self.clause.rows is not RowsPerMatch.ONE:
-            names = list(dict.fromkeys((*partition_by, *order_by)))
+            names += order_by
             rest = [name for name in self.table.column_names if name not in names]
         sources = pa.array(output.sources, pa.int64())
         columns = {name: rows.table.column(name).take(sources) for name in (*names, *rest)}
-        arrays = [*(columns[name] for name in names), *measured.columns, *(columns[name] for name in rest)]
-        return pa.Table.from_arrays(arrays, names=[*names, *measured.column_names, *rest])
+        arrays = [*(columns[name] for name in names), *measured, *(columns[name] for name in rest)]
+        if not arrays:
+            return pa.table({"": pa.nulls(len(output.sources))}).select([])
+        measures = [measure.name.name for measure in self.clause.measures]
+        return pa.Table.from_arrays(arrays, names=_apart([*names, *measures, *rest]))
 
 
 class _Search:
@@ -348,6 +367,20 @@ def _term(column: str, ordering: Ordering) -> str:
     direction = " DESC" if ordering.is_descending else " ASC"
     nulls = " NULLS FIRST" if ordering.nulls_first else " NULLS LAST"
     return quoted(column) + direction + nulls
+
+
+def _apart(names: list[str]) -> list[str]:
+    """The names, of which the later of two that are equal to DuckDB gets a number, as DuckDB does it."""
+    seen: set[str] = set()
+    found = []
+    for name in names:
+        number, free = 0, name
+        while free.lower() in seen:
+            number += 1
+            free = f"{name}_{number}"
+        seen.add(free.lower())
+        found.append(free)
+    return found
 
 
 def _has_exclusion(pattern: Pattern) -> bool:

@@ -140,6 +140,8 @@ def in_total_order(rows: pa.Table, streams: StreamNumbers) -> pa.Table:
 
 def newest_by_source(batch: pa.Table) -> list[tuple[str, int]]:
     """For each source its newest time in microseconds."""
+    if batch.num_rows == 0:
+        return []
     times = batch.column("time").cast(pa.timestamp("us", batch.column("time").type.tz)).cast(pa.int64()).to_numpy()
     sources = encoded(batch.column("source"))
     if len(sources.dictionary) == 1:

@@ -39,6 +39,8 @@ MODULES = {
     "doctor": "doctor",
     "extract": "extract",
     "rules": "rules",
+    "stages": "stages",
+    "zones": "zones",
     "station": "station",
     "evidence": "evidence",
     "archive": "archive",

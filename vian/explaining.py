@@ -5,12 +5,11 @@ silently.
 """
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 from typing import Any
 
-import numpy as np
 import pyarrow as pa
 
 from events import (
@@ -27,14 +26,15 @@ from events import (
 )
 from patterns.binder import bind
 from patterns.bound import BoundRule
-from patterns.columns import ColumnEvaluator, Rows
 from patterns.errors import PatternError
+from patterns.inputs import rows_of
 from patterns.loading import parse_rule
 from patterns.places import Places
-from patterns.processor import schemas
-from patterns.rows import StreamNumbers, normalised
+from patterns.processor import readable_by
+from patterns.rows import SEQUENCE, StreamNumbers
 from patterns.rule import Rule
 from patterns.site import SITE_TYPES, Site
+from patterns.situations import as_python
 from store import Log
 from vian.errors import WrongUsage
 from vian.evidence.selection import SITUATION_MIN, epoch_of
@@ -152,7 +152,7 @@ def _bound(log: Log, found: Explained) -> BoundRule | None:
     if found.rule is None:
         return None
     try:
-        return bind(found.rule, schemas(log.catalogue))
+        return bind(found.rule, readable_by(log, found.rule))
     except PatternError as error:
         found.missing.append(f"rule {found.rule.rule} does not fit this log any more: {error}")
         return None
@@ -188,7 +188,7 @@ def _matched(log: Log, wanted: MatchedRange, situation: Segment, bound: BoundRul
         rows += _rows(log, segment, wanted)
     matched = Matched(wanted.variable, wanted.stream, rows, list(producers))
     if not matched.is_place:
-        rows[:] = _own(rows, wanted.events, json.loads(found.event.partition), bound, found.site)
+        rows[:] = _own(rows, json.loads(found.event.partition), bound, found.site)
     if len(rows) != wanted.events:
         found.missing.append(
             f"{wanted.variable}: {wanted.stream} {wanted.first_sequence} to {wanted.last_sequence} has "
@@ -208,17 +208,20 @@ def _rows(log: Log, segment: Segment, wanted: MatchedRange) -> list[Row]:
     return list(rows.slice(begin, wanted.last_sequence - first - begin + 1).to_pylist())
 
 
-def _own(rows: list[Row], wanted: int, partition: dict[str, Any], bound: BoundRule | None, site: Site) -> list[Row]:
-    """The rows of the partition; where there are too many, those that pass the filter of FROM."""
-    own = [
-        row for row in rows if all(_plain(row.get(name)) == value for name, value in partition.items())
-    ]  # fmt: skip
-    if len(own) <= wanted or bound is None or bound.where is None:
-        return own
-    table = normalised(pa.Table.from_pylist(own), bound.columns, StreamNumbers())
+def _own(rows: list[Row], partition: Mapping[str, Any], bound: BoundRule | None, site: Site) -> list[Row]:
+    """The rows of the partition that the rule reads; without the rule, those with the partition's columns."""
+    if bound is None or not rows:
+        return [row for row in rows if all(_plain(row.get(name)) == value for name, value in partition.items())]
     places = Places(bound.rule.zones, bound.rule.lines, site)
-    passes = ColumnEvaluator(Rows(table, np.arange(len(own), dtype=np.int64)), places).truth(bound.where)
-    return [row for row, is_in in zip(own, passes, strict=True) if is_in]
+    read = rows_of(bound.inputs, pa.Table.from_pylist(rows), StreamNumbers(), places)
+    if read is None:
+        return []
+    own = {
+        row[SEQUENCE]
+        for row in read.select([SEQUENCE, *bound.keys]).to_pylist()
+        if all(_plain(as_python(row[name], bound.columns[name])) == partition.get(name) for name in bound.keys)
+    }
+    return [row for row in rows if row["sequence"] in own]
 
 
 def _plain(value: Any) -> Any:

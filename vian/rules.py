@@ -1,23 +1,24 @@
 """Rules from files into service."""
 
 from collections.abc import Sequence
+from contextlib import suppress
+from datetime import timedelta
 from pathlib import Path
+from typing import Literal
 
-import structlog
-
+from patterns.binder import bind
+from patterns.errors import RuleError
 from patterns.expanding import expand
-from patterns.loading import load_rules, rule_files
+from patterns.loading import load_rule, load_rules, rule_files, yaml_files
 from patterns.parser import parse
-from patterns.processor import Processor, deploy
+from patterns.processor import OpenMatches, ProcessorLimits, deploy, schemas
 from patterns.rule import Rule
+from patterns.strata import with_situations
 from store import Log
 from vian.clock import utc_now
 from vian.errors import WrongUsage
-from vian.parts import Part, stepping
-
-logger = structlog.get_logger()
-
-_STEP_SECONDS = 1.0
+from vian.settings import Settings
+from vian.zoning import undefined
 
 
 def load_all(paths: Sequence[Path]) -> list[Rule]:
@@ -44,14 +45,15 @@ def load_all(paths: Sequence[Path]) -> list[Rule]:
     return rules
 
 
-def files_of(paths: Sequence[Path]) -> list[Path]:
-    """The rule files of files and folders, in order, each once.
+def files_of(paths: Sequence[Path], *, with_stages: bool = False) -> list[Path]:
+    """The rule files of files and folders, in order, each once; those of stages too, where they are wanted.
 
     Raises:
         WrongUsage: There are none, or a folder cannot be read.
     """
     try:
-        files = list(dict.fromkeys(file for path in paths for file in rule_files(path)))
+        files_in = yaml_files if with_stages else rule_files
+        files = list(dict.fromkeys(file for path in paths for file in files_in(path)))
     except OSError as error:
         raise WrongUsage(f"the folder {error.filename} cannot be read: {error.strerror}") from error
     if not files:
@@ -59,10 +61,20 @@ def files_of(paths: Sequence[Path]) -> list[Path]:
     return files
 
 
+def readable_rules(files: Sequence[Path]) -> list[Rule]:
+    """The rules of those of the files that are rules, one of a name."""
+    rules: dict[str, Rule] = {}
+    for file in files:
+        with suppress(RuleError, OSError):
+            rule = load_rule(file)
+            rules.setdefault(rule.rule, rule)
+    return list(rules.values())
+
+
 def misplaced(log: Log, rules: Sequence[Rule]) -> list[str]:
-    """A remark for each zone and line of a source that the log has no events of, where it has those of others."""
+    """A remark for each zone and line of a source without events in the log, and each shared one not drawn."""
     heads = log.streams()
-    remarks = []
+    remarks = [f"{rule.rule}: {each}" for rule in rules if rule.shared for each in undefined(log, rule.shared)]
     for rule in rules:
         types = sorted({arm.source_type.name.lower() for arm in parse(rule.passage("match")).arms})
         wanted = " or ".join(types)
@@ -84,25 +96,39 @@ def file_text(rule: Rule) -> str:
     return expand(rule)
 
 
-def deploy_all(log: Log, station: str, rules: Sequence[Rule]) -> list[Rule]:
-    """Record the rules as deployed now, where they are new; those that were new."""
-    return deploy(log, station, rules, {rule.rule: file_text(rule) for rule in rules}, utc_now())
+def deploy_all(
+    log: Log,
+    station: str,
+    rules: Sequence[Rule],
+    *,
+    after: int | Literal["default", "head"] = "default",
+    open_matches: OpenMatches = "finished",
+    is_shadow: bool | None = None,
+) -> list[Rule]:
+    """Record the rules as deployed now, where that changes anything; those for which it did. See `deploy`."""
+    texts = {rule.rule: file_text(rule) for rule in rules}
+    now = utc_now()
+    return deploy(log, station, rules, texts, now, after=after, open_matches=open_matches, is_shadow=is_shadow)
 
 
-def processor_part(log: Log, station: str, path: Path) -> Part:
-    """The rules of a file or folder, deployed and run as a supervised part."""
-    rules = load_all([path])
-    for remark in misplaced(log, rules):
-        logger.warning("rule may find nothing", remark=remark)
-    processor = Processor(log, station, rules, now=utc_now)
-    deploy_all(log, station, rules)  # only once it is known that they fit
-    told: set[str] = set()
+def check_fit(log: Log, rules: Sequence[Rule]) -> None:
+    """Nothing, if the rules fit the log's event types.
 
-    def step() -> None:
-        processor.step(_STEP_SECONDS)
-        for name, failure in processor.failures.items():
-            if name not in told:
-                told.add(name)
-                logger.error("rule set aside", rule=name, error=str(failure))
+    Raises:
+        RuleError: One does not.
+    """
+    known = with_situations(schemas(log.catalogue), rules)
+    for rule in rules:
+        bind(rule, known)
 
-    return stepping("rules", step, log, processor.close)
+
+def limits_of(settings: Settings) -> ProcessorLimits:
+    """The processor's limits, as the settings say them."""
+    return ProcessorLimits(
+        save_every_s=settings.rules_save_s,
+        save_every_events=settings.rules_save_events,
+        ahead=timedelta(seconds=settings.rules_ahead_s) if settings.rules_ahead_s else None,
+        event_us=settings.rules_event_us or None,
+        slow_windows=settings.rules_slow_windows,
+        finish=timedelta(hours=settings.rules_finish_h),
+    )

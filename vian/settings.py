@@ -58,6 +58,20 @@ class Settings(BaseSettings):
     """folder of sample videos for the demo and the tests"""
     rules: HomePath | None = None
     """folder or file of rules that `vian serve` runs"""
+    rules_look_s: Annotated[float, Field(gt=0)] = 1.0
+    """`vian serve` looks for changed rule files this often, in seconds"""
+    rules_save_s: Annotated[float, Field(ge=0)] = 30.0
+    """longest time between two saves of what rules remember, in seconds, while events come"""
+    rules_save_events: Annotated[int, Field(ge=1)] = 1_000_000
+    """most events between two saves of what rules remember"""
+    rules_ahead_s: Annotated[float, Field(ge=0)] = 86_400.0
+    """how far ahead of the log's clock and of its source an event may be to take part in rules, in seconds; 0: any"""
+    rules_event_us: Annotated[float, Field(ge=0)] = 1_000.0
+    """what a rule may take for an event, in microseconds, before it is set aside as too slow; 0: no limit"""
+    rules_slow_windows: Annotated[int, Field(ge=1)] = 10
+    """windows of 1,000 events in a row that a rule may be over that limit"""
+    rules_finish_h: Annotated[float, Field(ge=0)] = 24.0
+    """how long a retired rule without WITHIN may finish what it has begun, in hours of event time"""
     host: str = "127.0.0.1"
     """address that `vian serve` listens on"""
     port: Annotated[int, Field(ge=0, le=65535)] = 8470

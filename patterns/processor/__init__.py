@@ -8,21 +8,36 @@
 This package alone, of `patterns`, knows the log.
 """
 
-from patterns.processor.deploying import Retirement, Service, deploy, retire, rule_of, schemas, standing, written
+from patterns.processor.deploying import (
+    OpenMatches,
+    Retirement,
+    Service,
+    deploy,
+    readable_by,
+    retire,
+    rule_of,
+    schemas,
+    standing,
+)
 from patterns.processor.limits import ProcessorLimits
 from patterns.processor.processor import Processor, Step
+from patterns.processor.reporting import Report, reports
 from patterns.processor.saving import stored_mark, stored_state
 from patterns.processor.writing import SOURCE, drafts_of, shadow_of, situation_of
 
 __all__ = [
     "SOURCE",
+    "OpenMatches",
     "Processor",
     "ProcessorLimits",
+    "Report",
     "Retirement",
     "Service",
     "Step",
     "deploy",
     "drafts_of",
+    "readable_by",
+    "reports",
     "retire",
     "rule_of",
     "schemas",
@@ -31,5 +46,4 @@ __all__ = [
     "standing",
     "stored_mark",
     "stored_state",
-    "written",
 ]

@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from functools import cache
-from typing import Literal
+from typing import Any, Literal
 
 from events import Draft, Segment, StreamName
 from patterns.errors import PatternError, RuleTooSlow
@@ -169,12 +169,24 @@ def _moved(work: Work, member: Member, stored: Mark, *, is_silenced: bool, is_sa
         life=member.mark.life,
         idles=stored.idles + is_silenced,
         saved=work.position if is_saved else stored.saved,
+        report=_report(work, member) if is_saved else stored.report,
     )
 
 
 def _state(work: Work, member: Member) -> SavedState:
+    return SavedState(
+        position=work.position,
+        life=member.mark.life,
+        run=work.rules.state(member),
+        newest_us=work.rules.newest_us,
+        finish_after_us=member.finish_after_us,
+    )
+
+
+def _report(work: Work, member: Member) -> dict[str, Any]:
+    """How the rule stands, for those who ask."""
     status = work.rules.status(member)
-    report = {
+    return {
         "rows": status.counts.rows,
         "late": status.counts.late,
         "matches": status.counts.matches,
@@ -185,11 +197,3 @@ def _state(work: Work, member: Member) -> SavedState:
         "spent_s": round(status.spent_s, 6),
         "event_us": round(member.pace.event_us, 3),
     }
-    return SavedState(
-        position=work.position,
-        life=member.mark.life,
-        run=work.rules.state(member),
-        newest_us=work.rules.newest_us,
-        finish_after_us=member.finish_after_us,
-        report=report,
-    )

@@ -15,7 +15,7 @@ is, from where the rule began, and situations that are there already are known b
 import json
 import struct
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import zstandard
@@ -37,6 +37,7 @@ class Mark:
         idles: How often silence, which the log does not hold, has moved its watermark.
         saved: Position of its saved state; 0 where nothing is saved.
         is_done: Whether it has left service for good in this life.
+        report: How it stood when it was saved last, for those who ask.
     """
 
     position: int = 0
@@ -44,6 +45,7 @@ class Mark:
     idles: int = 0
     saved: int = 0
     is_done: bool = False
+    report: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +58,6 @@ class SavedState:
         run: What its run remembers.
         newest_us: For each source the newest time that was let in.
         finish_after_us: When it leaves service, in event time, if it is about to.
-        report: How it stood, for `vian rules status`.
     """
 
     position: int
@@ -64,7 +65,6 @@ class SavedState:
     run: bytes
     newest_us: Mapping[str, int] = field(default_factory=dict)
     finish_after_us: int | None = None
-    report: Mapping[str, Any] = field(default_factory=dict)
 
 
 def mark_name(station: str, rule: str, version: int) -> str:
@@ -79,7 +79,7 @@ def state_name(station: str, rule: str, version: int) -> str:
 
 def mark_bytes(mark: Mark) -> bytes:
     """The mark without its position, which the checkpoint has."""
-    said = asdict(mark)
+    said = asdict(replace(mark, report=dict(mark.report)))
     del said["position"]
     return _MARK + json.dumps(said, separators=(",", ":")).encode()
 
@@ -97,7 +97,6 @@ def state_bytes(state: SavedState) -> bytes:
         "life": state.life,
         "newest_us": dict(state.newest_us),
         "finish_after_us": state.finish_after_us,
-        "report": dict(state.report),
     }
     packed = zstandard.ZstdCompressor().compress(json.dumps(header, separators=(",", ":"), ensure_ascii=False).encode())
     return _STATE + struct.pack(">I", len(packed)) + packed + state.run

@@ -9,100 +9,26 @@ import psycopg
 import pytest
 
 from events import (
-    EventType,
-    ProcessFinished,
     Producer,
-    SituationDetected,
     StreamName,
-    TrackPoint,
-    VideoAdded,
-    batch_of,
-    decode,
-    encode,
-    events_of,
 )
 from patterns.errors import PatternError
-from patterns.loading import parse_rule
 from patterns.processor import Processor, ProcessorLimits, deploy, schemas
-from patterns.rule import Rule
 from store import Log, LogUnavailable, Transaction
 from tests.conftest import MakeLog
-
-T0 = datetime(2026, 1, 1, 10, tzinfo=UTC)
-STATION = "brno"
-PRODUCER = Producer("motion", "1", bytes(32))
-
-
-def rule(name: str = "enters", *, version: int = 1, source: str = "gate", **changed: str) -> Rule:
-    parts = {
-        "partition": "source, track_id",
-        "measures": "inside.time AS entered_at, inside.x AS x",
-        "pattern": "(outside inside)",
-        "skip": "SKIP PAST LAST ROW",
-        "time": "{lateness: 1 s}",
-    } | changed
-    return parse_rule(f"""
-rule: {name}
-version: {version}
-title: "track {{track_id}} came in"
-severity: warning
-zones: {{yard: {{source: {source}, polygon: [[0.5, 0], [1, 0], [1, 1], [0.5, 1]]}}}}
-time: {parts["time"]}
-match: |
-  SELECT * FROM track_point MATCH_RECOGNIZE (
-    PARTITION BY {parts["partition"]} ORDER BY time, sequence
-    MEASURES {parts["measures"]}
-    ONE ROW PER MATCH AFTER MATCH {parts["skip"]}
-    PATTERN {parts["pattern"]}
-    DEFINE outside AS NOT in_zone(outside.x, outside.y, 'yard'), inside AS in_zone(inside.x, inside.y, 'yard'))
-""")
-
-
-def point(track: int, second: float, x: float) -> TrackPoint:
-    rest = dict.fromkeys(("y", "x1", "y1", "x2", "y2", "vx", "vy"), 10.0)
-    return TrackPoint(
-        time=T0 + timedelta(seconds=second), track_id=track, frame=int(second * 10), x=x, confidence=1.0, **rest
-    )
-
-
-def say(log: Log, source: str, *events: EventType) -> None:
-    stream = StreamName.of(STATION, source, events[0].type_name)
-    log.append([encode(stream, batch_of(events), PRODUCER)])
-
-
-def add_video(log: Log, source: str) -> None:
-    size = {"width": 100, "height": 100, "fps": 10.0, "frames_expected": 10, "codec": "h264"}
-    say(log, source, VideoAdded(time=T0, video="00", path="v", started_at=T0, **size))
-
-
-def end(log: Log, source: str, second: float = 60.0) -> None:
-    at = T0 + timedelta(seconds=second)
-    say(log, source, ProcessFinished(time=at, process="p", frames=1, events=1, gaps=0))
-
-
-def walkers(log: Log, source: str = "gate", tracks: int = 3, seconds: int = 12) -> None:
-    """Tracks that go in and out of the right half, a second a segment."""
-    add_video(log, source)
-    for second in range(seconds):
-        inside = [(track + second) % 4 < 2 for track in range(tracks)]
-        say(log, source, *(point(t + 1, second, 80 if i else 20) for t, i in enumerate(inside)))
-    end(log, source)
-
-
-def situations(log: Log) -> list[SituationDetected]:
-    found: list[Any] = []
-    for segment in log.read_all(types=["situation_detected"]):
-        found += events_of(decode(segment, log.catalogue))
-    return found
-
-
-def missed_of(log: Log) -> list[Any]:
-    segments = log.read_all(types=["rule_missed"])
-    return [event for segment in segments for event in events_of(decode(segment, log.catalogue))]
-
-
-def heads(log: Log) -> list[tuple[str, int, bytes]]:
-    return [(str(head.stream), head.sequence, head.chain_hash) for head in log.streams()]
+from tests.patterns.walkers import (
+    STATION,
+    T0,
+    add_video,
+    end,
+    heads,
+    point,
+    rule,
+    said,
+    say,
+    situations,
+    walkers,
+)
 
 
 @pytest.fixture
@@ -305,7 +231,7 @@ def test_late_events_are_counted_and_recorded(make_log: MakeLog) -> None:
     processor.catch_up()
 
     assert processor.late == {"enters": 1}
-    (missed,) = missed_of(log)
+    (missed,) = said(log, "rule_missed")
     assert (missed.rule, missed.what, missed.count, missed.stream) == (
         "enters", "late_events", 1, "brno/gate/track_point",
     )  # fmt: skip

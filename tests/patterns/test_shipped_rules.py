@@ -47,6 +47,7 @@ DIFFERENCE = """\
   n: 1
 - n: 5, title: a
 + n: 2, title: a
+? ^^^^
 + n: 3, v: None, at: 2026-01-01T10:00:02Z, gap: 3 s, flag: None"""
 
 

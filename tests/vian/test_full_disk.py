@@ -18,7 +18,7 @@ from tests.vian.test_rules import write_rule
 from vian.api import bind, create_app, serving
 from vian.parts import Parts, stepping
 from vian.replication import load_plan, station_daemon, sync_part
-from vian.rules import processor_part
+from vian.watching import processor_part
 
 GATE = StreamName.of("brno", "gate", "track_point")
 NOISE = StreamName.of("brno", "noise", "rule_deployed")

@@ -7,7 +7,8 @@ from store import Log, Subscription
 from tests.vian.samples import append, points
 from vian.errors import WrongUsage
 from vian.parts import Parts
-from vian.rules import deploy_all, file_text, load_all, processor_part
+from vian.rules import deploy_all, file_text, load_all
+from vian.watching import processor_part
 
 SHIPPED = Path(__file__).parents[2] / "patterns" / "rules"
 HIGH = """\

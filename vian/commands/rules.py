@@ -14,15 +14,16 @@ from patterns.lint import Finding, check, finding_of
 from patterns.loading import load_rule
 from patterns.processor import Processor, schemas
 from patterns.rule import Rule
+from patterns.strata import with_situations
 from store import Projector
 from vian import options
 from vian.clock import utc_now
-from vian.commands import rules_backtest, rules_explain, rules_why_not
+from vian.commands import rules_backtest, rules_explain, rules_flink, rules_service, rules_why_not, rules_write
 from vian.errors import WorldFailed, WrongUsage
 from vian.options import opened, settings_for
 from vian.output import Output
 from vian.parts import Parts, stepping
-from vian.rules import deploy_all, files_of, load_all, misplaced
+from vian.rules import check_fit, deploy_all, files_of, limits_of, load_all, misplaced, readable_rules
 
 app = typer.Typer(help="Write rules, try them on what the log holds, and run them.", no_args_is_help=True)
 
@@ -37,6 +38,11 @@ def check_rules(paths: Paths, as_json: options.Json = False) -> None:
     known = schemas(load_catalogue())
     files = files_of(paths)
     names: dict[str, Rule] = {}
+    try:
+        known = with_situations(known, readable_rules(files))
+    except RuleError as error:
+        _print_finding(None, finding_of(error), output)
+        raise WrongUsage("rules would feed on their own situations") from error
     bad = [str(file) for file in files if not _is_good(file, names, known, output)]
     if bad:
         raise WrongUsage(f"{len(bad)} of {len(files)} rule files did not pass: {', '.join(bad)}")
@@ -101,11 +107,12 @@ def run(
     output = Output(is_json=as_json)
     rules = load_all(paths)
     with opened(settings, data_dir=data_dir, is_made=True) as log:
-        processor = Processor(log, settings.station, rules, now=None if once else utc_now)
+        check_fit(log, rules)
         for remark in misplaced(log, rules):
             output.note(f"warning: {remark}")
         for rule in deploy_all(log, settings.station, rules):
             output.note(f"deployed {rule.rule} version {rule.version}")
+        processor = Processor(log, settings.station, rules, now=None if once else utc_now, limits=limits_of(settings))
         found = 0
         if once:
             found = processor.catch_up()
@@ -132,5 +139,5 @@ def run(
         raise WorldFailed(f"rules were set aside: {reasons}")
 
 
-for _module in (rules_backtest, rules_explain, rules_why_not):
+for _module in (rules_write, rules_backtest, rules_explain, rules_why_not, rules_service, rules_flink):
     _module.register(app)

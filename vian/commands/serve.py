@@ -23,10 +23,12 @@ from vian.output import Output
 from vian.parts import Part, Parts, stepping
 from vian.replication import load_plan, station_daemon, sync_part
 from vian.rows import upkeep_part
-from vian.rules import processor_part
+from vian.rules import limits_of
 from vian.settings import Settings
 from vian.signatures import has_key, signing_part
+from vian.staging import stages_of, stages_part
 from vian.stations import StationsFile, read_token
+from vian.watching import processor_part
 
 STEP_SECONDS = 1.0
 
@@ -49,7 +51,10 @@ def serve(
     port: Annotated[
         int | None, typer.Option("--port", help="Port to listen on; 0 takes a free one.", show_default="8470")
     ] = None,
-    rules: Annotated[Path | None, typer.Option("--rules", help="Folder or file of rules to run.")] = None,
+    rules: Annotated[
+        Path | None,
+        typer.Option("--rules", help="Folder or file of rules to deploy; also when one changes."),
+    ] = None,
     stations_file: Annotated[
         Path | None, typer.Option("--stations-file", help="Central: the stations that may replicate.")
     ] = None,
@@ -93,8 +98,12 @@ def _parts(stack: ExitStack, log: Log, settings: Settings, role: Role) -> list[P
     ]
     if has_key(settings):
         parts.append(signing_part(log, settings))
-    if settings.rules is not None:
-        parts.append(processor_part(log, settings.station, settings.rules))
+    if settings.rules is not None or role is Role.STATION:
+        limits = limits_of(settings)
+        stages = [] if settings.rules is None else stages_of([settings.rules])
+        if stages:
+            parts.append(stages_part(log, settings.station, stages))
+        parts.append(processor_part(log, settings.station, settings.rules, limits, settings.rules_look_s))
     if role is Role.STATION and settings.central is not None:
         if settings.token_file is None:
             raise WrongUsage("sync needs this station's token. Next: give --token-file FILE")

@@ -1,0 +1,415 @@
+"""Rules into service and out of it while the processor runs: nothing is lost, nothing is said twice."""
+
+import random
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from datetime import timedelta
+from typing import Any
+
+import pytest
+
+from events import StreamName, batch_of, encode
+from patterns.errors import MatchError, PatternError
+from patterns.processor import (
+    Processor,
+    ProcessorLimits,
+    deploy,
+    reports,
+    retire,
+    standing,
+    stored_mark,
+    stored_state,
+)
+from patterns.ruleset import RuleSetRun
+from patterns.running import RuleRun
+from store import Checkpoint, Log, LogUnavailable, Transaction
+from tests.conftest import MakeLog
+from tests.patterns.walkers import (
+    PRODUCER,
+    STATION,
+    T0,
+    add_video,
+    end,
+    heads,
+    point,
+    rule,
+    said,
+    say,
+    situations,
+    walk,
+    walkers,
+)
+
+LATER = T0 + timedelta(days=1)
+
+
+def deployed(log: Log, *rules: Any, **options: Any) -> None:
+    deploy(log, STATION, rules, {}, T0, **options)
+
+
+def found(log: Log) -> list[tuple[str, int, Any]]:
+    """Rule, version and time of each situation."""
+    return [(each.rule, each.rule_version, (each.began_at - T0).total_seconds()) for each in situations(log)]
+
+
+def saved_often(segments: int = 200, events: int = 1) -> ProcessorLimits:
+    return ProcessorLimits(segments=segments, save_every_events=events)
+
+
+def test_what_is_deployed_runs_from_the_beginning_and_live(log: Log) -> None:
+    walkers(log)
+    deployed(log, rule())
+    processor = Processor(log, STATION)
+    assert processor.catch_up() == 8
+    walkers(log, "street")
+    deployed(log, rule("leaves", pattern="(inside outside)"))
+    assert processor.catch_up() > 0
+    assert {each.rule for each in situations(log)} == {"enters", "leaves"}
+    assert [service.key for service, _ in processor.rules] == [("enters", 1), ("leaves", 1)]
+
+
+def test_a_further_version_begins_at_the_head_and_none_is_lost_or_found_twice(log: Log) -> None:
+    add_video(log, "gate")
+    deployed(log, rule())
+    processor = Processor(log, STATION)
+    walk(log, range(6))
+    processor.catch_up()
+    deployed(log, rule(version=2, measures="inside.x AS x"))
+    walk(log, range(6, 12))
+    end(log, "gate")
+    processor.catch_up()
+
+    assert len(situations(log)) == len({(each.began_at, each.partition) for each in situations(log)}) == 8
+    assert {version for _, version, _ in found(log)} == {1, 2}
+    # What began before the change is the old version's, what began after it the new one's.
+    assert max(at for _, version, at in found(log) if version == 1) <= 5
+    assert min(at for _, version, at in found(log) if version == 2) > 5
+    assert [(e.rule_version, e.why, e.open_matches) for e in said(log, "rule_retired")] == [(1, "replaced", "finished")]
+    assert [service.key for service, _ in processor.rules] == [("enters", 2)]
+
+
+@pytest.mark.parametrize("open_matches, finds", [("dropped", 0), ("finished", 1)])
+def test_a_rule_that_is_retired_drops_or_finishes_what_it_has_begun(log: Log, open_matches: Any, finds: int) -> None:
+    add_video(log, "gate")
+    deployed(log, rule())
+    processor = Processor(log, STATION)
+    say(log, "gate", point(1, 0, 20))
+    processor.catch_up()
+    retire(log, STATION, "enters", T0, open_matches=open_matches)
+    say(log, "gate", point(1, 1, 80), point(2, 1, 20), point(2, 2, 80))
+    end(log, "gate")
+    processor.catch_up()
+
+    assert len(situations(log)) == finds
+    assert processor.rules == []
+    assert stored_mark(log, STATION, "enters", 1).is_done  # type: ignore[union-attr]
+    assert Processor(log, STATION).rules == []
+
+
+def test_a_version_that_begins_in_the_past_catches_up_beside_the_others(log: Log) -> None:
+    add_video(log, "gate")
+    deployed(log, rule())
+    processor = Processor(log, STATION, limits=ProcessorLimits(segments=2))
+    walk(log, range(8))
+    processor.catch_up()
+    deployed(log, rule("again"), after=0)
+    steps = []
+    walk(log, range(8, 12))
+    end(log, "gate")
+    while not steps or not steps[-1].is_caught_up:
+        steps.append(processor.step())
+
+    both = {name: [at for rule_name, _, at in found(log) if rule_name == name] for name in ("enters", "again")}
+    assert both["enters"] == both["again"]
+    assert len(steps) > 4  # a page at a time, so that the others do not wait
+
+
+def test_a_rule_comes_back_behind_its_retirement(log: Log) -> None:
+    add_video(log, "gate")
+    deployed(log, rule())
+    processor = Processor(log, STATION)
+    walk(log, range(4))
+    processor.catch_up()
+    retire(log, STATION, "enters", T0, open_matches="dropped")
+    walk(log, range(4, 12))
+    end(log, "gate")
+    processor.catch_up()
+    before = len(situations(log))
+    deployed(log, rule())
+    processor.catch_up()
+
+    assert before < 8
+    assert len({(each.began_at, each.partition) for each in situations(log)}) == len(situations(log)) > before
+
+
+def test_a_version_that_runs_again_from_the_beginning_says_nothing_twice(log: Log) -> None:
+    walkers(log)
+    deployed(log, rule())
+    processor = Processor(log, STATION)
+    assert processor.catch_up() == 8
+    retire(log, STATION, "enters", T0)
+    deployed(log, rule(), after=0)
+    assert processor.catch_up() == 0
+    assert Processor(log, STATION).catch_up() == 0
+    assert len(situations(log)) == 8
+
+
+def test_a_rule_in_shadow_records_and_is_promoted(log: Log) -> None:
+    add_video(log, "gate")
+    deployed(log, rule(more="shadow: true"))
+    processor = Processor(log, STATION)
+    walk(log, range(6))
+    processor.catch_up()
+    assert situations(log) == []
+    shadowed = said(log, "situation_shadowed")
+    deployed(log, rule(), is_shadow=False)
+    walk(log, range(6, 12))
+    end(log, "gate")
+    processor.catch_up()
+
+    assert len(shadowed) + len(situations(log)) == 8
+    assert len(shadowed) == len(said(log, "situation_shadowed")) > 0
+
+
+def test_what_cannot_be_deployed_is_said(log: Log) -> None:
+    deployed(log, rule())
+    with pytest.raises(PatternError, match=r"enters version 1 is in service already.*Next: vian rules retire enters"):
+        deployed(log, rule(), after=0)
+    with pytest.raises(PatternError, match=r"no version of rule 'enter' is in service; in service: enters\. Next: "):
+        retire(log, STATION, "enter", T0)
+
+
+def test_a_deployed_text_that_is_no_rule_here_is_set_aside_and_the_others_run(log: Log) -> None:
+    walkers(log)
+    deployed(log, rule("other"), rule())
+    event = said(log, "rule_deployed")[0].model_copy(update={"rule": "strange", "text": "rule: strange"})
+    say(log, "rules", event)
+    processor = Processor(log, STATION)
+    assert processor.catch_up() == 16
+    assert list(processor.failures) == ["strange"]
+    (gone,) = said(log, "rule_retired")
+    assert (gone.rule, gone.why) == ("strange", "failed")
+    assert "this key is missing" in gone.reason
+
+
+def test_a_rule_that_raises_anything_is_retired_with_its_position_and_comes_back(
+    log: Log, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    walkers(log)
+    deployed(log, rule("breaks"), rule())
+    original = RuleRun.push
+
+    def breaks(self: RuleRun, rows: Any) -> Any:
+        if self.bound.rule.rule == "breaks" and self.counts.rows > 5:
+            raise ZeroDivisionError("by zero")
+        return original(self, rows)
+
+    with monkeypatch.context() as broken:
+        broken.setattr(RuleRun, "push", breaks)
+        processor = Processor(log, STATION)
+        processor.catch_up()
+    assert len(situations(log)) >= 8
+    (gone,) = said(log, "rule_retired")
+    assert (gone.rule, gone.why, gone.open_matches) == ("breaks", "failed", "dropped")
+    assert gone.reason == "at position 4: ZeroDivisionError: by zero"
+    deployed(log, rule("breaks"), after=0)
+    processor.catch_up()
+    assert sorted(each.rule for each in situations(log)) == ["breaks"] * 8 + ["enters"] * 8
+    assert not processor.failures
+
+
+def test_a_rule_that_is_too_slow_is_set_aside_and_named(log: Log, monkeypatch: pytest.MonkeyPatch) -> None:
+    walkers(log)
+    deployed(log, rule("slow"), rule())
+    ticks = iter(range(10_000_000))
+    original = RuleSetRun.status
+
+    def status(self: RuleSetRun, name: str) -> Any:
+        found = original(self, name)
+        spent_s = next(ticks) * 10.0 if name.startswith("slow") else 0.0
+        return type(found)(**{**{n: getattr(found, n) for n in found.__slots__}, "spent_s": spent_s})
+
+    monkeypatch.setattr(RuleSetRun, "status", status)
+    limits = ProcessorLimits(segments=1, window_events=1, slow_windows=3)
+    processor = Processor(log, STATION, limits=limits)
+    processor.catch_up()
+
+    (gone,) = said(log, "rule_retired")
+    assert (gone.rule, gone.why) == ("slow", "too_slow")
+    assert "us an event; the limit rules_event_us is 1000 us over 3 windows" in gone.reason
+    assert [name for name, _, _ in found(log)].count("enters") == 8
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_killed_anywhere_the_same_is_found(make_log: MakeLog, monkeypatch: pytest.MonkeyPatch, seed: int) -> None:
+    """A transaction may fail before it commits, or commit unconfirmed; a processor may be forgotten at any step."""
+    chance = random.Random(seed)
+    wanted, log = make_log(), make_log()
+    for each in (wanted, log):
+        deployed(each, rule(), rule("leaves", pattern="(inside outside)"))
+        walkers(each)
+        walkers(each, "street")
+    Processor(wanted, STATION).catch_up()
+    original = Log.transaction
+
+    @contextmanager
+    def killed(self: Log) -> Iterator[Transaction]:
+        fate = chance.random()
+        with original(self) as transaction:
+            yield transaction
+            if fate < 0.2:
+                raise LogUnavailable("before the commit")
+        if fate < 0.4:
+            raise LogUnavailable("after the commit")
+
+    monkeypatch.setattr(Log, "transaction", killed)
+    processors: list[Processor] = []
+    while not processors or min(each.position for each in processors) < log.head():
+        if not processors or (len(processors) < 3 and chance.random() < 0.3):
+            limits = saved_often(chance.randint(1, 6), chance.choice([1, 10, 10_000]))
+            processors.append(Processor(log, STATION, limits=limits))
+        processor = chance.choice(processors)
+        with suppress(LogUnavailable):
+            processor.step()
+        if chance.random() < 0.1:
+            processors.remove(processor)  # forgotten, as a killed process is
+
+    got = {head for head in heads(log) if "situation" in head[0]}
+    assert {name: count for name, count, _ in got} == {n: c for n, c, _ in heads(wanted) if "situation" in n}
+    assert sorted(found(log)) == sorted(found(wanted))
+
+
+def test_a_restart_reads_again_from_the_saved_state_and_says_nothing_twice(log: Log) -> None:
+    add_video(log, "gate")
+    deployed(log, rule())
+    walk(log, range(5))
+    first = Processor(log, STATION)
+    first.catch_up()
+    at = stored_mark(log, STATION, "enters", 1)
+    assert at is not None
+    walk(log, range(5, 12))
+    first.step()
+    after = stored_mark(log, STATION, "enters", 1)
+    assert after is not None
+    assert after.position > after.saved == at.saved
+    count = len(situations(log))
+
+    again = Processor(log, STATION)
+    assert again.position == at.saved
+    assert again.catch_up() == 0
+    assert len(situations(log)) == count
+    end(log, "gate")
+    again.catch_up()
+    assert len(situations(log)) == 8
+
+
+@pytest.mark.parametrize("state", [b"VRS1 of an older ViAn", b"VPS9 of a newer one", b"VPS1\0\0\0\7damaged"])
+def test_a_state_that_cannot_be_read_is_made_again_from_the_log(
+    log: Log, caplog: pytest.LogCaptureFixture, state: bytes
+) -> None:
+    deployed(log, rule())
+    walkers(log)
+    Processor(log, STATION).catch_up()
+    name = f"rule-state/{STATION}/enters/1"
+    assert stored_state(log, STATION, "enters", 1) is not None
+    with log.transaction() as transaction:
+        transaction.save_checkpoints({name: Checkpoint(log.head(), state)})
+    again = Processor(log, STATION)
+    assert "rule enters version 1 is run again from position 0, and nothing is appended twice" in caplog.text
+    assert again.catch_up() == 0
+    assert len(situations(log)) == 8
+
+
+def test_what_an_older_vian_left_is_gone_on_from(log: Log) -> None:
+    """It kept position and state together, under the name of the mark."""
+    deployed(log, rule())
+    walkers(log)
+    Processor(log, STATION).catch_up()
+    with log.transaction() as transaction:
+        transaction.save_checkpoint(f"rule/{STATION}/enters/1", log.head(), b"VRS1...")
+        transaction.save_checkpoint(f"rule-state/{STATION}/enters/1", 0, b"")
+    assert Processor(log, STATION).catch_up() == 0
+    walkers(log, "street")
+    assert len(situations(log)) == 8
+
+
+def test_an_event_from_the_far_future_does_not_make_all_others_late(log: Log) -> None:
+    add_video(log, "gate")
+    deployed(log, rule())
+    say(log, "gate", point(1, 0, 20))
+    far = StreamName.of(STATION, "gate", "track_point")
+    ahead = point(9, 0, 80).model_copy(update={"time": T0 + timedelta(days=30_000)})
+    log.append([encode(far, batch_of([ahead, point(1, 1, 80)]), PRODUCER)])
+    say(log, "gate", point(1, 5, 80))
+    processor = Processor(log, STATION)
+    processor.catch_up()
+
+    assert [at for _, _, at in found(log)] == [0]
+    (missed,) = said(log, "rule_missed")
+    assert (missed.what, missed.count, missed.first_sequence) == ("future_events", 1, 2)
+    assert "rules_ahead_s" in missed.reason
+    assert processor.late == {"enters": 0}
+
+
+def test_a_flood_of_late_events_is_one_event(log: Log) -> None:
+    add_video(log, "gate")
+    deployed(log, rule())
+    say(log, "gate", point(1, 50, 20))
+    for second in range(20):
+        say(log, "gate", *(point(track, second, 80) for track in range(1, 6)))
+    Processor(log, STATION).catch_up()
+
+    (missed,) = said(log, "rule_missed")
+    assert (missed.what, missed.count) == ("late_events", 100)
+    assert (missed.first_sequence, missed.last_sequence) == (2, 101)
+
+
+def test_reports_say_how_each_version_stands(log: Log) -> None:
+    walkers(log)
+    deployed(log, rule(), rule("shadowed", more="shadow: true"))
+    processor = Processor(log, STATION)
+    processor.catch_up()
+    walkers(log, "street")
+    deployed(log, rule(version=2, measures="inside.x AS x"))
+
+    by_key = {each.service.key: each for each in reports(log, STATION)}
+    assert {key: each.state for key, each in by_key.items()} == {
+        ("enters", 1): "finishes", ("shadowed", 1): "shadow", ("enters", 2): "runs",
+    }  # fmt: skip
+    assert by_key["enters", 1].counts["matches"] == 8
+    assert by_key["enters", 1].lag > by_key["enters", 2].lag == 0
+    processor.catch_up()
+    assert [each.state for each in reports(log, STATION)] == ["retired", "shadow", "runs"]
+
+
+def test_rules_are_reloaded_where_they_are_given(log: Log) -> None:
+    add_video(log, "gate")
+    processor = Processor(log, STATION, [rule()])
+    walk(log, range(6))
+    processor.catch_up()
+    processor.reload([rule(version=2, measures="inside.x AS x")])
+    walk(log, range(6, 12))
+    end(log, "gate")
+    processor.catch_up()
+    assert len({(each.began_at, each.partition) for each in situations(log)}) == len(situations(log)) == 8
+    with pytest.raises(PatternError):
+        processor.reload([rule(measures="inside.colour AS x")])
+
+
+def test_what_stood_is_known_at_any_position(log: Log) -> None:
+    deployed(log, rule())
+    at = log.head()
+    deployed(log, rule(version=2, measures="inside.x AS x"))
+    assert standing(log, STATION, at)["enters", 1].retirement is None
+    now = standing(log, STATION)
+    assert now["enters", 1].retirement is not None
+    assert now["enters", 2].after == log.head()
+
+
+def test_a_failure_of_a_rule_in_a_match_is_a_match_error(log: Log) -> None:
+    walkers(log)
+    deployed(log, rule("failing", skip="SKIP TO FIRST outside"))
+    processor = Processor(log, STATION)
+    processor.catch_up()
+    assert isinstance(processor.failures["failing"], MatchError)
+    assert [each.why for each in said(log, "rule_retired")] == ["failed"]

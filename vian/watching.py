@@ -1,0 +1,174 @@
+"""Rule files that are watched: what changes in them is deployed while the rules run.
+
+Contract: a file that is not a rule, or says another rule under a version that is deployed, is named and
+changes nothing of what runs. A file that was removed retires its rule, which still finishes what it has begun;
+one that is missing for a moment only, as editors leave it, does not.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from time import monotonic
+
+import structlog
+
+from patterns.binder import bind
+from patterns.errors import PatternError
+from patterns.loading import load_rule, rule_files
+from patterns.processor import Processor, ProcessorLimits, readable_by, retire, standing
+from patterns.rule import Rule
+from store import Log
+from vian.clock import utc_now
+from vian.parts import Part, stepping
+from vian.rules import check_fit, deploy_all, load_all, misplaced, readable_rules
+
+logger = structlog.get_logger()
+
+LOOK_SECONDS = 1.0
+"""How often rule files are looked at, unless the settings say otherwise."""
+_STEP_SECONDS = 1.0
+
+Stamp = tuple[int, int]
+"""When a file was changed, in nanoseconds, and its size: another stamp is another content."""
+
+
+def processor_part(
+    log: Log,
+    station: str,
+    path: Path | None,
+    limits: ProcessorLimits | None = None,
+    look_s: float = LOOK_SECONDS,
+) -> Part:
+    """The deployed rules as a supervised part; those of a file or folder are deployed, also when they change."""
+    paths = [] if path is None else [path]
+    if paths:
+        rules = load_all(paths)
+        check_fit(log, rules)
+        deploy_all(log, station, rules)
+    watch = RulesWatch(log, station, paths, monotonic, look_s)
+    processor = Processor(log, station, now=utc_now, limits=limits)
+
+    def step() -> None:
+        watch.look()
+        processor.step(_STEP_SECONDS)
+
+    return stepping("rules", step, log, processor.close)
+
+
+@dataclass(frozen=True, slots=True)
+class _Seen:
+    stamp: Stamp
+    rule: str | None
+    """name of the rule that the file said; None: it said none"""
+
+
+class RulesWatch:
+    """Files and folders of rules, looked at again and again. Not for several threads at once."""
+
+    def __init__(
+        self, log: Log, station: str, paths: Sequence[Path], clock: Callable[[], float], every_s: float
+    ) -> None:
+        """Look at nothing yet.
+
+        Args:
+            log: The log that says which rules run.
+            station: This station.
+            paths: Rule files, and folders of them.
+            clock: Seconds that never go back.
+            every_s: Shortest time between two looks, in seconds.
+        """
+        self._log = log
+        self._station = station
+        self._paths = list(paths)
+        self._clock = clock
+        self._every_s = every_s
+        self._next_s = clock()
+        self._seen: dict[Path, _Seen] = {}
+        self._missing: set[Path] = set()
+
+    def look(self) -> int:
+        """Deploy what is new or changed, retire what was removed, if it is time to look; how many rules that were.
+
+        Raises:
+            LogUnavailable: The database is away; what changed is deployed by a later look.
+        """
+        if self._clock() < self._next_s:
+            return 0
+        self._next_s = self._clock() + self._every_s
+        stamps = self._stamps()
+        changed = [path for path, stamp in stamps.items() if path not in self._seen or self._seen[path].stamp != stamp]
+        gone = [path for path in self._seen if path not in stamps]
+        count = 0
+        if changed:
+            count += self._deploy({path: stamps[path] for path in changed}, set(stamps))
+        for path in gone:
+            count += self._remove(path)
+        self._missing = {path for path in gone if path in self._seen}
+        return count
+
+    def _stamps(self) -> dict[Path, Stamp]:
+        """The files there are now. One that vanishes between two calls is not there."""
+        found: dict[Path, Stamp] = {}
+        for path in self._paths:
+            try:
+                files = rule_files(path)
+            except OSError as error:
+                logger.error("the folder of rules cannot be read", path=str(path), error=str(error))
+                continue
+            for file in files:
+                try:
+                    stat = file.stat()
+                except FileNotFoundError:
+                    continue
+                found[file] = (stat.st_mtime_ns, stat.st_size)
+        return found
+
+    def _deploy(self, changed: Mapping[Path, Stamp], present: set[Path]) -> int:
+        names = {each.rule: path for path, each in self._seen.items() if path in present and path not in changed}
+        count = 0
+        for path, stamp in changed.items():
+            rule = self._read(path, names)
+            if rule is not None:
+                names[rule.rule] = path
+                count += self._is_deployed(rule, path)
+            self._seen[path] = _Seen(stamp, None if rule is None else rule.rule)
+        return count
+
+    def _read(self, path: Path, names: Mapping[str | None, Path]) -> Rule | None:
+        """The file's rule; None where it is not one that can run, which is said."""
+        try:
+            rule = load_rule(path)
+            if rule.rule in names:
+                raise rule.error(f"the rule {rule.rule!r} is also defined in {names[rule.rule]}", "rule")
+            bind(rule, readable_by(self._log, rule, readable_rules([*names.values(), path])))
+        except (PatternError, OSError) as error:
+            logger.error("a rule file is left out; what runs goes on", file=str(path), error=str(error))
+            return None
+        for remark in misplaced(self._log, [rule]):
+            logger.warning("rule may find nothing", remark=remark)
+        return rule
+
+    def _is_deployed(self, rule: Rule, path: Path) -> bool:
+        try:
+            deployed = bool(deploy_all(self._log, self._station, [rule]))
+        except PatternError as error:
+            logger.error("a rule file is left out; what runs goes on", file=str(path), error=str(error))
+            return False
+        if deployed:
+            logger.info("rule deployed", rule=rule.rule, version=rule.version, file=str(path))
+        return deployed
+
+    def _remove(self, path: Path) -> int:
+        """Retires the rule of a file that is gone for the second look; how many versions that were."""
+        if path not in self._missing:
+            return 0
+        name = self._seen.pop(path).rule
+        is_elsewhere = any(each.rule == name for each in self._seen.values())
+        services = standing(self._log, self._station).values()
+        if is_elsewhere or not any(each.rule == name and each.retirement is None for each in services):
+            return 0
+        assert name is not None, "a rule in service has a name"
+        reason = f"its file {path.name} was removed"
+        retired = retire(self._log, self._station, name, utc_now(), reason=reason)
+        logger.info("rule retired", rule=name, reason=reason)
+        return len(retired)
