@@ -293,7 +293,7 @@ class RuleRun:
         if self._clock.watermark_us is not None:
             is_late = np.asarray(rows.column(TIME)) < self._clock.watermark_us
             if is_late.any():
-                late = tuple(self._refs(rows.filter(pa.array(is_late))))
+                late = tuple(dict.fromkeys(self._refs(rows.filter(pa.array(is_late)))))  # of several arms, once
                 rows = rows.filter(pa.array(~is_late))
         self.counts.late += len(late)
         self.counts.rows += rows.num_rows
