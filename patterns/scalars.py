@@ -113,7 +113,8 @@ class _Translator:
             self.fail(f"column {name} has the Arrow type {self.scope.unreadable[name]}, which rules cannot read",
                       identifier)  # fmt: skip
         have = ", ".join(sorted(self.scope.columns))
-        raise self.error(f"unknown column {identifier.name!r}; there are: {have}", identifier)
+        like = did_you_mean(identifier.name, self.scope.columns)
+        raise self.error(f"unknown column {identifier.name!r}; there are: {have}{like}", identifier)
 
     def variable(self, node: exp.Expression) -> str | None:
         """The shown name of the variable before the dot."""
@@ -123,14 +124,16 @@ class _Translator:
         key = canonical_name(table.name, bool(table.args.get("quoted")))
         if key not in self.scope.variables:
             have = ", ".join(self.scope.variables.values()) or "none here"
-            self.fail(f"unknown pattern variable {table.name!r}; there are: {have}", table)
+            like = did_you_mean(table.name, self.scope.variables.values())
+            self.fail(f"unknown pattern variable {table.name!r}; there are: {have}{like}", table)
         return self.scope.variables[key]
 
     def placeholder(self, node: exp.Expression) -> Expr:
         name = str(node.this or "")
         if name not in self.scope.params:
             have = ", ".join(sorted(self.scope.params)) or "none"
-            message = f"{self.scope.clause}: unknown parameter :{name}; params has: {have}"
+            like = did_you_mean(name, self.scope.params)
+            message = f"{self.scope.clause}: unknown parameter :{name}; params has: {have}{like}"
             raise self.scope.passage.error(message, self.param_offset(name))
         value = self.scope.params[name]
         if isinstance(value, tuple):
@@ -328,7 +331,8 @@ class _Translator:
             return self.timer(node)
         if name in _NOT_YET:
             self.refuse(name, node)
-        raise self.error(f"unknown function {node.this}; there are: {_FUNCTIONS_SHOWN}", node)
+        like = did_you_mean(str(node.this), _FUNCTIONS_SHOWN.split(", "))
+        raise self.error(f"unknown function {node.this}; there are: {_FUNCTIONS_SHOWN}{like}", node)
 
     def timer(self, node: exp.Expression) -> Expr:
         """Whether the row at hand is the virtual row that is due so long after the variable's last row."""
