@@ -26,6 +26,7 @@ from patterns.strata import with_situations
 from patterns.syntax import Alternation, Concatenation, Exclusion, Pattern, Permutation, Repetition, Variable
 from patterns.text import did_you_mean
 from patterns.tokens import canonical_name
+from patterns.units import mismatches, units_of
 
 _SPOKEN = {
     **dict.fromkeys(("sec", "secs", "second", "seconds"), "s"),
@@ -88,6 +89,7 @@ def check(rule: Rule, schemas: Mapping[str, pa.Schema]) -> list[Finding]:
     return [
         *_unused(bound),
         *_slips(rule),
+        *_mixed_units(rule, schemas),
         *_undefined(bound),
         *_empty(bound),
         *_hopeless(bound),
@@ -215,6 +217,24 @@ def _slips(rule: Rule) -> list[Finding]:
         if like:
             message = f"parameter {name!r} is the text {value!r}, no duration, length or speed{like}"
             findings.append(_warning(rule, message, "unit", "params", name))
+    return findings
+
+
+def _mixed_units(rule: Rule, schemas: Mapping[str, pa.Schema]) -> list[Finding]:
+    """Comparisons, sums and differences of values with different units."""
+    passage = rule.passage("match")
+    query = parse(passage)
+    # Where a column may be computed, or come from several types, its unit is not known here.
+    is_plain = len(query.arms) == 1 and query.arms[0].situation_of is None and not query.arms[0].items
+    known = units_of(schemas[query.arms[0].source_type.name]) if is_plain else {}
+    scalars = [each.value for each in (*query.clause.measures, *query.clause.defines)]
+    scalars += [arm.where for arm in query.arms if arm.where is not None]
+    findings = []
+    for scalar in scalars:
+        for node, one, other in mismatches(scalar.node, known, rule.params):
+            at = min((part.meta["start"] for part in node.walk() if "start" in part.meta), default=scalar.at)
+            message = f"{one} and {other} do not go together. Next: give the parameter the unit that is meant"
+            findings.append(Finding("error", message, passage.place(at), "unit"))
     return findings
 
 
