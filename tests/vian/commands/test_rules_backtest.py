@@ -89,7 +89,7 @@ WRONG: list[tuple[list[str], str]] = [
     (["enters", "--against", "9"], "version 9 of rule enters is not deployed"),
     (["enters", "--since", "yesterday"], "--since must be a time such as"),
     (["enters", "--since", "2026-01-02", "--until", "2026-01-01"], "--since must be before --until"),
-    (["enters", "--from", "2026-01-02", "--until", "2026-01-01"], "--from must be before --until"),
+    (["enters", "--from", "2036-01-02"], "--from: the log has no event at or after 2036-01-02"),
     (["enters", "--source", "roof"], "no source 'roof' in this log; known: gate, rules"),
     (["enters", "--csv", "--json"], "give either --csv or --json"),
 ]
