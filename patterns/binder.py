@@ -90,6 +90,7 @@ class _Parts:
     slots: dict[Expr, int] = field(default_factory=dict)
     registers: dict[Register, int] = field(default_factory=dict)
     register_of: dict[Expr, int] = field(default_factory=dict)
+    timers: dict[int, None] = field(default_factory=dict)
 
 
 class _Binder:
@@ -132,6 +133,7 @@ class _Binder:
         names = sorted(column_names(read) | set(keys) | {"source"})
         bound = BoundRule(
             rule=self.rule,
+            timers=tuple(parts.timers),
             inputs=self.arms.inputs(names),
             variables=tuple(self.variables.values()),
             program=program,
@@ -154,6 +156,7 @@ class _Binder:
             limits=self.limits,
         )
         self.check_can_match(bound)
+        self.check_timers(bound)
         return bound
 
     # Names.
@@ -243,7 +246,9 @@ class _Binder:
             message = f"DEFINE: more than {PREDICATES_MOST} different row-local conditions"
             raise self.error(message, self.clause.pattern_at)
         guard = Call("and", tuple(guards), Kind.BOOL) if len(guards) > 1 else guards[0] if guards else None
-        return Condition(tuple(predicates), guard)
+        dues = [part.operands[1] for part in guards if isinstance(part, Call) and part.op == "timer"]
+        parts.timers |= dict.fromkeys(parts.register_of[due] for due in dues)
+        return Condition(tuple(predicates), guard, is_timed=bool(dues))
 
     def measures(self) -> tuple[Output, ...]:
         outputs: dict[str, Output] = {}
@@ -374,6 +379,23 @@ class _Binder:
                     queue.append(after)
         names = ", ".join(bound.variables[index] for index in sorted(hopeless)) or "its anchors"
         raise self.error(f"PATTERN: it can never match, because {names} can never be true", self.clause.pattern_at)
+
+    def check_timers(self, bound: BoundRule) -> None:
+        """Checks that nothing in the rule asks for what virtual rows do not have: a place among the real ones."""
+        timed = [name for name, is_timed in zip(bound.variables, bound.timed, strict=True) if is_timed]
+        if not timed:
+            return
+        clause = self.clause
+        skipped = [bound.variables[at] for at in bound.skip_variables if bound.timed[at]]
+        if skipped and clause.skip.variable is not None:
+            message = f"AFTER MATCH SKIP: {skipped[0]} has TIMER, and no match begins at a virtual row"
+            raise self.error(message, clause.skip.variable.at)
+        if bound.tables.accepts != bound.tables.accepts_end:
+            message = f"PATTERN: $ asks for the partition's last row, and {timed[0]} has TIMER: no row is the last then"
+            raise self.error(message, clause.pattern_at)
+        if all(bound.timed[bound.tables.variables[at]] for at in bound.tables.firsts()):
+            message = f"PATTERN: no match begins at a virtual row, and {timed[0]} has TIMER"
+            raise self.error(message, clause.pattern_at)
 
     def error(self, message: str, at: int) -> RuleError:
         return self.query.passage.error(message, at)

@@ -55,10 +55,12 @@ class Condition:
     Attributes:
         predicates: Row-local conditions that must all be true, as indices.
         guard: What else must be true; None: nothing.
+        is_timed: Whether it has TIMER.
     """
 
     predicates: tuple[int, ...]
     guard: Expr | None
+    is_timed: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,6 +77,7 @@ class BoundRule:
 
     Attributes:
         rule: The rule.
+        timers: Registers that hold when a virtual row is due.
         inputs: The arms of FROM.
         variables: Pattern variables by index.
         program: The pattern.
@@ -98,6 +101,7 @@ class BoundRule:
     """
 
     rule: Rule
+    timers: tuple[int, ...]
     inputs: tuple[Input, ...]
     variables: tuple[str, ...]
     program: tuple[Instruction, ...]
@@ -118,6 +122,11 @@ class BoundRule:
     looks_back: bool
     site: Site
     limits: Limits
+
+    @property
+    def timed(self) -> tuple[bool, ...]:
+        """For each variable whether its condition has TIMER, so that it takes virtual rows and no others."""
+        return tuple(each.is_timed for each in self.conditions)
 
     @property
     def types(self) -> frozenset[str]:

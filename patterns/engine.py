@@ -27,6 +27,7 @@ from patterns.registers import Update, initial, update_of
 from patterns.registers import live_registers as _live
 from patterns.rows import SEQUENCE, STREAM, TIME, partition_codes
 from patterns.site import Site
+from patterns.timers import TimedMatcher, timers_of
 
 Key = tuple[Any, ...]
 
@@ -70,7 +71,10 @@ class Engine:
         self.bound = bound
         self.places = Places(bound.rule.zones, bound.rule.lines, site)
         self.masks = tuple(sum(1 << at for at in each.predicates) for each in bound.conditions)
-        self.matcher = Matcher(machine_of(bound, self.places, self.masks))
+        machine = machine_of(bound, self.places, self.masks)
+        self.matcher = Matcher(machine)
+        if bound.timers:
+            self.matcher = TimedMatcher(machine, timers_of(bound, self.places), bound.timed)
         self.open: dict[Key, Open] = {}
         self._due: list[tuple[int, int, Key]] = []
         self._serial = count()
@@ -104,9 +108,10 @@ class Engine:
             self._keep(key, state)
         return found
 
-    def finish(self) -> list[tuple[Key, Found]]:
-        """The matches made final because there are no more rows; everything is forgotten."""
-        found = [
+    def finish(self, newest_us: int) -> list[tuple[Key, Found]]:
+        """The matches made final because there are no more rows, and time stands still; everything is forgotten."""
+        found = self.expire(newest_us + 1) if self.bound.timers else []
+        found += [
             (key, each) for key, state in self.open.items() for each in self.matcher.finish(state.partition)
         ]  # fmt: skip
         self.open.clear()
@@ -164,9 +169,11 @@ class Engine:
         seen: set[tuple[int, frozenset[int] | None]] = set()
         for position in tables.firsts():
             first = tables.variables[position]
-            after = None if tables.accepts[position] else frozenset(
-                tables.variables[each] for each in tables.follow[position]
-            )  # fmt: skip
+            next_ones = frozenset(tables.variables[each] for each in tables.follow[position])
+            is_open = tables.accepts[position] or any(self.bound.timed[each] for each in next_ones)
+            after = None if is_open else next_ones
+            if self.bound.timed[first]:
+                continue
             if (first, after) in seen:
                 continue
             seen.add((first, after))
@@ -224,7 +231,7 @@ class Engine:
         wanted = range(len(grouped.keys)) if self.bound.looks_back else np.flatnonzero(active).tolist()
         for group in wanted:
             key = grouped.keys[group]
-            state = self.open.get(key) or Open()
+            state = self.open.get(key) or Open(Partition(key=key))
             length = int(grouped.bounds[group + 1] - grouped.fresh[group])
             if active[group]:
                 found += [(key, each) for each in self.matcher.run(state.partition, block, at, at + length)]
@@ -262,8 +269,8 @@ class Engine:
                 f"rule {self.bound.rule.rule} remembers {len(self.open)} partitions; the limit `partitions` is "
                 f"{self.bound.limits.partitions}. A WITHIN lets partitions be forgotten"
             )
-        due_us = self.matcher.deadline(attempts[0]) if attempts else None
-        if due_us is not None and state.due_us is None:
+        due_us = self.matcher.due(state.partition)
+        if due_us is not None and (state.due_us is None or due_us < state.due_us):
             state.due_us = due_us
             heapq.heappush(self._due, (due_us, next(self._serial), key))
 
@@ -300,7 +307,8 @@ def machine_of(bound: BoundRule, places: Places, masks: tuple[int, ...]) -> Mach
 def live_registers(bound: BoundRule) -> tuple[tuple[int, ...], ...]:
     """For each position the registers whose value after it can still change which match is found."""
     reads = [_guard_reads(bound, variable) for variable in range(len(bound.variables))]
-    return _live(bound.tables, bound.registers, reads)
+    live = _live(bound.tables, bound.registers, reads)
+    return tuple(tuple(sorted({*each, *bound.timers})) for each in live)
 
 
 def _guard_reads(bound: BoundRule, variable: int) -> set[int]:

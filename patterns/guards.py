@@ -267,6 +267,7 @@ _OPERATORS: dict[str, Callable[..., Any]] = {
     "=": lambda left, right: left == right, "<>": lambda left, right: left != right,
     "<": lambda left, right: left < right, "<=": lambda left, right: left <= right,
     ">": lambda left, right: left > right, ">=": lambda left, right: left >= right,
+    "timer": lambda now, due: now == due,
     "not": lambda value: not value, "least": _least, "greatest": _greatest,
 }  # fmt: skip
 _LENIENT: dict[str, Callable[[list[Guard]], Guard]] = {

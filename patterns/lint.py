@@ -10,7 +10,8 @@ import pyarrow as pa
 from patterns.binder import bind
 from patterns.bound import BoundRule
 from patterns.errors import Place, RuleError
-from patterns.expressions import Crosses, Expr, InZone, walk
+from patterns.expressions import Call, Crosses, Expr, InZone, walk
+from patterns.guards import constant_value
 from patterns.parser import parse
 from patterns.pattern_variables import pattern_variables
 from patterns.portable import refusals
@@ -36,7 +37,14 @@ def check(rule: Rule, schemas: Mapping[str, pa.Schema]) -> list[Finding]:
         bound = bind(rule, schemas)
     except RuleError as error:
         return [finding_of(error)]
-    return [*_unused(bound), *_undefined(bound), *_empty(bound), *_unbounded(bound), *_not_portable(rule)]
+    return [
+        *_unused(bound),
+        *_undefined(bound),
+        *_empty(bound),
+        *_unbounded(bound),
+        *_timed_out(bound),
+        *_not_portable(rule),
+    ]
 
 
 def finding_of(error: RuleError) -> Finding:
@@ -116,6 +124,27 @@ def _unbounded(bound: BoundRule) -> list[Finding]:
         message = "without WITHIN, a partial match of a partition that falls silent is remembered for good"
         findings.append(Finding("warning", message, place))
     return findings
+
+
+def _timed_out(bound: BoundRule) -> list[Finding]:
+    """Timers that are due only when WITHIN is over, so that no match ever sees them."""
+    passage = bound.rule.passage("match")
+    longest = max((_duration_of(bound, register) for register in bound.timers), default=0)
+    if bound.within_us is None or longest < bound.within_us:
+        return []
+    message = "WITHIN is not longer than TIMER's duration, so the virtual row comes too late. Next: lengthen WITHIN"
+    return [Finding("warning", message, passage.place(parse(passage).clause.pattern_at))]
+
+
+def _duration_of(bound: BoundRule, register: int) -> int:
+    """How long after its variable's row the timer of this register is due, in microseconds."""
+    slot = bound.registers[register].slot
+    assert slot is not None, "it holds a time"
+    due = bound.slots[slot]
+    assert isinstance(due, Call), "it is the time and a duration"
+    value = constant_value(due.operands[1])
+    assert isinstance(value, int), "durations are whole microseconds"
+    return value
 
 
 def _not_portable(rule: Rule) -> list[Finding]:

@@ -120,11 +120,15 @@ class Partition:
         attempts: By start.
         ordinal: The number of its next row.
         last: The event of its last row, while there are attempts.
+        key: Its partition columns, for virtual rows.
+        fired_us: The time of the last virtual row; None: there was none.
     """
 
     attempts: list[Attempt] = field(default_factory=list)
     ordinal: int = 0
     last: Event | None = None
+    key: tuple[Any, ...] = ()
+    fired_us: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,7 +174,8 @@ class Matcher:
             if row >= end:
                 break
             event = block.events[row]
-            if attempts and self._is_over(attempts[0], event[2]):
+            if attempts and self._is_due(partition, event[2]):
+                partition.ordinal = base + row
                 found += self.expire(partition, event[2])
             while next_start < len(block.starts) and block.starts[next_start] < row:
                 next_start += 1
@@ -180,7 +185,7 @@ class Matcher:
                 self._step(attempts, block, row, base + row)
                 found += self._resolved(attempts, event[2], event)
             row += 1
-        partition.ordinal += end - begin
+        partition.ordinal = base + end
         partition.last = block.events[end - 1] if attempts else None
         return found
 
@@ -219,6 +224,13 @@ class Matcher:
         """The time from which on no row can belong to the attempt."""
         within = self.machine.within_us
         return None if within is None else attempt.event[2] + within
+
+    def due(self, partition: Partition) -> int | None:
+        """When the matcher wants to be told that time has come, to decide what no row need decide."""
+        return self.deadline(partition.attempts[0]) if partition.attempts else None
+
+    def _is_due(self, partition: Partition, now_us: int) -> bool:
+        return self._is_over(partition.attempts[0], now_us)
 
     def _is_over(self, attempt: Attempt, now_us: int) -> bool:
         within = self.machine.within_us

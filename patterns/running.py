@@ -37,6 +37,7 @@ from patterns.rows import (
 from patterns.saved import Saved, decode, encode, partitions_from_json, partitions_to_json
 from patterns.site import Site
 from patterns.situations import EventRef, Match, Narrator, as_microseconds, event_ref, nearest_time
+from patterns.timers import TIMER_STREAM
 from patterns.titles import Scalar
 
 Rows: TypeAlias = pa.Table | pa.RecordBatch
@@ -197,7 +198,7 @@ class RuleRun:
     def finish(self) -> Outcome:
         """The input has ended: everything is decided. What is pushed after this begins anew."""
         found = self._engine.take(self._released(None))
-        found += self._engine.finish()
+        found += self._engine.finish(self._clock.newest_us())
         matches = self._emitted(found)
         self._clock.reset()
         self._emitter.reset()
@@ -325,7 +326,7 @@ class RuleRun:
         return tuple(matches)
 
     def _order(self, found: Found) -> tuple[Any, ...]:
-        """By deciding time, time itself before rows of that time, then by the deciding and the first event."""
+        """By deciding time, time itself before its rows and timers after; then by the deciding and the first event."""
         names = self._streams.names
         stream, sequence, time_us = found.first
         first = (time_us, names[stream], sequence)
@@ -333,6 +334,8 @@ class RuleRun:
             return (1, 0, 0, "", 0, *first)
         if found.decided_by is None:
             return (0, found.decided_us, 0, "", 0, *first)
+        if found.decided_by[0] == TIMER_STREAM:
+            return (0, found.decided_us, 2, "", 0, *first)
         return (0, found.decided_us, 1, names[found.decided_by[0]], found.decided_by[1], *first)
 
     def _refs(self, rows: pa.Table) -> Iterable[EventRef]:

@@ -61,18 +61,23 @@ def decode(state: bytes) -> Saved:
 
 def partitions_to_json(engine: Engine) -> list[Any]:
     """All that the engine remembers."""
-    return [
-        [list(key), state.partition.ordinal, state.partition.last, [list(row) for row in state.tail],
-         [_attempt_to_json(attempt) for attempt in state.partition.attempts]]
-        for key, state in engine.open.items()
-    ]  # fmt: skip
+    return [_partition_to_json(key, state) for key, state in engine.open.items()]
+
+
+def _partition_to_json(key: tuple[Any, ...], state: Open) -> list[Any]:
+    partition = state.partition
+    attempts = [_attempt_to_json(attempt) for attempt in partition.attempts]
+    rows = [list(row) for row in state.tail]
+    return [list(key), partition.ordinal, partition.last, partition.fired_us, rows, attempts]
 
 
 def partitions_from_json(saved: list[Any]) -> Iterator[tuple[tuple[Any, ...], Open]]:
     """What the engine is to remember, by partition."""
-    for key, ordinal, last, tail, attempts in saved:
+    for key, ordinal, last, fired_us, tail, attempts in saved:
         newest = None if last is None else _event(last)
-        partition = Partition([_attempt_from_json(attempt) for attempt in attempts], ordinal, newest)
+        partition = Partition(
+            [_attempt_from_json(attempt) for attempt in attempts], ordinal, newest, tuple(key), fired_us
+        )
         yield tuple(key), Open(partition, [tuple(row) for row in tail])
 
 

@@ -14,6 +14,7 @@ from sqlglot import exp
 from patterns.errors import NotSupportedYet, RuleError
 from patterns.expressions import (
     Aggregate,
+    Call,
     Column,
     Const,
     Crosses,
@@ -32,6 +33,7 @@ from patterns.expressions import (
 )
 from patterns.geometry import DIRECTIONS
 from patterns.ground import GroundValue
+from patterns.guards import constant_value
 from patterns.literals import VARIABLE_UNITS, interval, number
 from patterns.scope import Scope, constant
 from patterns.syntax import Scalar
@@ -322,9 +324,35 @@ class _Translator:
             return self.crosses(node)
         if name in _GROUND:
             return self.on_ground(node, name)
+        if name == "TIMER":
+            return self.timer(node)
         if name in _NOT_YET:
             self.refuse(name, node)
         raise self.error(f"unknown function {node.this}; there are: {_FUNCTIONS_SHOWN}", node)
+
+    def timer(self, node: exp.Expression) -> Expr:
+        """Whether the row at hand is the virtual row that is due so long after the variable's last row."""
+        if self.scope.clause != "DEFINE":
+            self.fail("TIMER has a meaning in DEFINE only", node)
+        above = node.parent
+        while isinstance(above, exp.Paren | exp.And):
+            above = above.parent
+        if above is not None:
+            self.fail("TIMER stands alone or beside other conditions with AND, not under another operator", node)
+        if len(node.expressions) != 2:
+            self.fail(f"wanted TIMER(variable.time, duration), got {len(node.expressions)} arguments", node)
+        since, length = (self.expr(part) for part in node.expressions)
+        if since == Column("time", Kind.TIME):
+            self.fail("TIMER counts from a row of another variable, as in TIMER(other.time, duration)", node)
+        if not isinstance(since, Reference) or since != replace(since, which="last", operand=Column("time", Kind.TIME)):
+            self.fail("wanted TIMER(variable.time, duration): it counts from a variable's last row", node)
+        if since.variables is None or self.scope.own in since.variables:
+            self.fail("TIMER counts from a row of another variable, as in TIMER(other.time, duration)", node)
+        us = constant_value(length) if is_constant(length) else None
+        if length.kind is not Kind.DURATION or not isinstance(us, int) or us <= 0:
+            self.fail("TIMER: wanted a constant duration above zero, such as :limit or INTERVAL '10' SECOND", node)
+        due = replace(since, operand=self.typed("+", node, (since.operand, length)))
+        return Call("timer", (Column("time", Kind.TIME), due), Kind.BOOL)
 
     def in_zone(self, node: exp.Expression) -> Expr:
         x, y, zone = self.arguments(node, "in_zone(x, y, 'zone')", 2, 1)
@@ -430,16 +458,15 @@ def _named(node: exp.Expression) -> str:
     return f"{type(node).__name__} ({node.sql()[:40]})"
 
 
-_NOT_YET = frozenset(
-    ("NEXT", "CLASSIFIER", "MATCH_NUMBER", "TIMER", "RUNNING", "FINAL", "PERMUTE", "CURRENT_TIMESTAMP", "NOW")
-)
+_NOT_YET = frozenset(("NEXT", "CLASSIFIER", "MATCH_NUMBER", "RUNNING", "FINAL", "PERMUTE", "CURRENT_TIMESTAMP", "NOW"))
 _GROUND: dict[str, tuple[GroundValue, int, str]] = {
     "GROUND_X": ("x", 2, "ground_x(x, y)"),
     "GROUND_Y": ("y", 2, "ground_y(x, y)"),
     "GROUND_SPEED": ("speed", 4, "ground_speed(x, y, vx, vy)"),
 }
 _FUNCTIONS_SHOWN = (
-    "PREV, FIRST, LAST, COUNT, ABS, SQRT, LEAST, GREATEST, COALESCE, in_zone, crosses, ground_x, ground_y, ground_speed"
+    "PREV, FIRST, LAST, COUNT, ABS, SQRT, LEAST, GREATEST, COALESCE, TIMER, in_zone, crosses, "
+    "ground_x, ground_y, ground_speed"
 )
 _HANDLERS: dict[type[exp.Expression], Callable[[_Translator, Any], Expr]] = {
     exp.Column: _Translator.column,

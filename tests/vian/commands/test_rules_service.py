@@ -28,7 +28,8 @@ def test_a_rule_is_deployed_runs_and_is_retired(log: Log, path: Path, run: Run) 
     assert (ran.code, ran.out) == (0, "high version 1: deployed\n")
     assert run("rules", "deploy", path, *place(log)).out == "high version 1: in service already\n"
     processor = Processor(log, "brno")
-    assert [processor.catch_up(), processor.catch_up()] == [1, 0]
+    assert processor.catch_up() > 0
+    assert processor.catch_up() == 0
     (said,) = (json.loads(line) for line in run("rules", "status", "--json", *place(log)).out.splitlines())
     assert (said["rule"], said["version"], said["state"], said["lag_segments"]) == ("high", 1, "runs", 0)
     assert said["rows"] == 3
