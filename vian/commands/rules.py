@@ -17,7 +17,14 @@ from patterns.rule import Rule
 from store import Projector
 from vian import options
 from vian.clock import utc_now
-from vian.commands import rules_backtest, rules_explain, rules_service, rules_why_not, rules_write
+from vian.commands import (
+    rules_backtest,
+    rules_explain,
+    rules_profile,
+    rules_service,
+    rules_why_not,
+    rules_write,
+)
 from vian.errors import WorldFailed, WrongUsage
 from vian.options import opened, settings_for
 from vian.output import Output
@@ -133,5 +140,5 @@ def run(
         raise WorldFailed(f"rules were set aside: {reasons}")
 
 
-for _module in (rules_write, rules_backtest, rules_explain, rules_why_not, rules_service):
+for _module in (rules_write, rules_backtest, rules_explain, rules_why_not, rules_profile, rules_service):
     _module.register(app)
