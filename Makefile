@@ -2,9 +2,10 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
+FLINK := .flink
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test faults lint types contracts wheel-check clean
+.PHONY: help demo test faults flink flink-test lint types contracts wheel-check clean
 
 help:  ## what can be made
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 16
@@ -26,6 +27,18 @@ test: $(VENV)/installed  ## the whole test suite on a real PostgreSQL
 faults: $(VENV)/installed  ## kills, stops, flipped bits and a full disk under load; FAULTS_ARGS="--rounds 20 --seed 1"
 	$(BIN)/python -m tests.faults.campaign $(FAULTS_ARGS)
 
+$(FLINK)/installed: pyproject.toml
+	@java -version > /dev/null 2>&1 || { echo "Flink needs Java 17, and there is no java. Next: install a JRE"; exit 2; }
+	$(PYTHON) -m venv $(FLINK)
+	$(FLINK)/bin/python -m pip install --quiet --upgrade "pip>=25.1"
+	$(FLINK)/bin/python -m pip install --quiet --group flink
+	@touch $@
+
+flink: $(FLINK)/installed  ## Apache Flink in an environment of its own, for flink-test and the benchmark's reference
+
+flink-test: $(VENV)/installed $(FLINK)/installed  ## the same rows in this engine and in Flink; FLINK_ARGS="-k shipped"
+	VIAN_FLINK=1 $(BIN)/python -m pytest tests/flink -s $(FLINK_ARGS)
+
 lint: $(VENV)/installed  ## ruff, format included
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -40,4 +53,4 @@ wheel-check: $(VENV)/installed  ## the built wheel in an empty environment, run 
 	PYTHON=$(PYTHON) .ci/wheel-check
 
 clean:  ## remove the environment and what tools left behind
-	rm -rf $(VENV) dist .coverage .coverage.* .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis
+	rm -rf $(VENV) $(FLINK) dist .coverage .coverage.* .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis

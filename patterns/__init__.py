@@ -7,6 +7,8 @@
     run = RuleRun(bound)                                # the same online
     run.push(batch).matches
 
+    query("SELECT ... FROM t MATCH_RECOGNIZE (...)", {"t": table})      # any table, among ordinary SQL
+
 The road is parse, bind, compile, run: `parser` reads the SQL, `binder` resolves
 its names, `program` compiles the pattern, and `running` feeds the `engine` with
 rows as they become final. What is refused, is refused with its line and column.
@@ -21,6 +23,7 @@ from patterns.errors import (
     MatchError,
     NotSupportedYet,
     PatternError,
+    QueryError,
     RuleError,
     SkipError,
     StateError,
@@ -29,6 +32,7 @@ from patterns.geometry import FrameSize, Line, Zone
 from patterns.limits import Limits
 from patterns.lint import Finding, check
 from patterns.loading import load_rule, load_rules, parse_rule
+from patterns.queries import query
 from patterns.rule import Rule
 from patterns.ruleset import RuleSetRun, RuleStatus
 from patterns.running import GivenUp, Outcome, RuleRun, match
@@ -50,6 +54,7 @@ __all__ = [
     "NotSupportedYet",
     "Outcome",
     "PatternError",
+    "QueryError",
     "Rule",
     "RuleError",
     "RuleRun",
@@ -65,6 +70,7 @@ __all__ = [
     "load_rules",
     "match",
     "parse_rule",
+    "query",
     "run_tests",
     "situation_id",
 ]

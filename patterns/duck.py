@@ -5,6 +5,7 @@ standard has it; everything else is as DuckDB says.
 """
 
 from collections.abc import Mapping, Sequence
+from functools import cache
 from typing import Any
 
 import duckdb
@@ -21,6 +22,17 @@ _NO_AGGREGATES = frozenset(
 _MEMO_MOST = 100_000
 
 
+@cache
+def _functions(kind: str) -> frozenset[str]:
+    """See `Duck.functions`; which there are is settled when DuckDB is built, and asking takes a tenth of a second."""
+    condition = "function_type = 'aggregate'" if kind == "aggregate" else "stability <> 'CONSISTENT'"
+    with duckdb.connect() as connection:
+        found = connection.execute(
+            f"SELECT DISTINCT upper(function_name) FROM duckdb_functions() WHERE {condition}"
+        ).fetchall()
+    return frozenset(name for (name,) in found) - (_NO_AGGREGATES if kind == "aggregate" else frozenset())
+
+
 class Duck:
     """Evaluates SQL expressions. Not for several threads at once."""
 
@@ -34,11 +46,7 @@ class Duck:
 
     def functions(self, kind: str) -> frozenset[str]:
         """The names, in upper case, of the `aggregate` functions, or of those that are not `steady`."""
-        condition = "function_type = 'aggregate'" if kind == "aggregate" else "stability <> 'CONSISTENT'"
-        found = self.connection.execute(
-            f"SELECT DISTINCT upper(function_name) FROM duckdb_functions() WHERE {condition}"
-        ).fetchall()
-        return frozenset(name for (name,) in found) - (_NO_AGGREGATES if kind == "aggregate" else frozenset())
+        return _functions(kind)
 
     def columns(self, table: pa.Table, expressions: Sequence[str]) -> list[pa.ChunkedArray]:
         """For each expression its value at each row of the table.
@@ -77,7 +85,7 @@ class Duck:
         if not expressions:
             return []
         wanted = ", ".join(f"{text} AS c{index}" for index, text in enumerate(expressions))
-        typed = ", ".join(f'NULL::{kind} AS "{name}"' for name, kind in columns.items()) or "1 AS nothing"
+        typed = ", ".join(f"NULL::{kind} AS {quoted(name)}" for name, kind in columns.items()) or "1 AS nothing"
         query = f"DESCRIBE SELECT {wanted} FROM (SELECT {typed}) WHERE false"
         return [row[1] for row in self.connection.execute(query).fetchall()]
 

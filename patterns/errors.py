@@ -2,7 +2,8 @@
 
 PatternError
 ├── RuleError            a rule file that is not right; knows its file, line and column
-│   └── NotSupportedYet  right SQL:2016, outside what this version understands
+│   ├── NotSupportedYet  right SQL:2016, outside what this version understands
+│   └── QueryError       DuckDB refuses the SQL around a clause, or cannot go on with it
 ├── MatchError           a rule that cannot go on with the rows it was given
 │   ├── SkipError        AFTER MATCH SKIP has no row to go to
 │   ├── LimitError       a limit of `Limits` was reached; names it
@@ -51,6 +52,10 @@ class RuleError(PatternError):
 
 class NotSupportedYet(RuleError):
     """Right SQL:2016, outside what this version understands."""
+
+
+class QueryError(RuleError):
+    """SQL around a MATCH_RECOGNIZE clause that DuckDB refuses, or cannot go on with; the message is DuckDB's."""
 
 
 class MatchError(PatternError):

@@ -11,6 +11,7 @@ from patterns.binder import bind
 from patterns.bound import BoundRule
 from patterns.errors import Place, RuleError
 from patterns.expressions import Call, Crosses, Expr, InZone, walk
+from patterns.flink import check as check_flink
 from patterns.guards import constant_value
 from patterns.parser import parse
 from patterns.pattern_variables import pattern_variables
@@ -43,7 +44,7 @@ def check(rule: Rule, schemas: Mapping[str, pa.Schema]) -> list[Finding]:
         *_empty(bound),
         *_unbounded(bound),
         *_timed_out(bound),
-        *_not_portable(rule),
+        *_not_portable(rule, schemas),
     ]
 
 
@@ -147,11 +148,18 @@ def _duration_of(bound: BoundRule, register: int) -> int:
     return value
 
 
-def _not_portable(rule: Rule) -> list[Finding]:
-    """What a rule that claims to be portable says that Flink SQL cannot."""
+def _not_portable(rule: Rule, schemas: Mapping[str, pa.Schema]) -> list[Finding]:
+    """What a rule that claims to be portable says that Flink SQL cannot, or understands in another way."""
     if rule.profile != "portable":
         return []
-    return [Finding("error", each.message, each.place) for each in refusals(rule, parse(rule.passage("match")))]
+    refused = refusals(rule, parse(rule.passage("match")))
+    if refused:
+        return [Finding("error", each.message, each.place) for each in refused]
+    try:
+        check_flink(rule, schemas)
+    except RuleError as error:
+        return [finding_of(error)]
+    return []
 
 
 def _expressions(bound: BoundRule) -> tuple[Expr, ...]:

@@ -345,7 +345,12 @@ class _Parser:
         try:
             trees = self.dialect.parser().parse([opening, *_tokens(words), closing], self.passage.text)
         except ParseError as error:
-            raise self.passage.error(f"{clause}: {_complaint(error)}", _error_offset(error, words)) from error
+            at = _error_offset(error, words)
+            for word, _, stumbled in zip(words, words[1:], words[2:], strict=False):
+                if stumbled.start == at and word.key in ("RUNNING", "FINAL"):
+                    message = f"{clause}: {word.key} stands before FIRST, LAST or an aggregate function only"
+                    raise self.passage.error(message, word.start) from error
+            raise self.passage.error(f"{clause}: {_complaint(error)}", at) from error
         tree = trees[0]
         if len(trees) != 1 or not isinstance(tree, exp.Paren | exp.Subquery):
             raise self.passage.error(f"{clause}: not one scalar expression", words[0].start)

@@ -22,6 +22,7 @@ from patterns.syntax import (
     Clause,
     Concatenation,
     Exclusion,
+    Identifier,
     Pattern,
     Permutation,
     Query,
@@ -43,7 +44,19 @@ class Construct:
 PORTABLE: dict[str, Construct] = {
     # Pattern.
     "concatenation": Construct(True, "as it is; parentheses without a quantifier are taken away"),
-    "quantifier": Construct(True, "as it is, on a variable: *, +, ?, {n}, {n,}, {,m}, {n,m}, greedy or reluctant"),
+    "quantifier": Construct(True, "as it is, on a variable: *, +, ?, {n}, {n,}, {n,m}, greedy or reluctant"),
+    "range from no row": Construct(False, "Flink's {n,m} begins with one row; write {1,m}, or a rule for no row"),
+    "variable twice": Construct(False, "Flink takes each variable once in a pattern; give the second another name"),
+    "greedy variable with an open end": Construct(
+        False,
+        "where a row fits a greedy variable and the next one, Flink never goes back as the standard does; "
+        "add AND NOT (...) of the one to the other, or make it reluctant",
+    ),
+    "two variables with open ends": Construct(
+        False,
+        "where a row fits a variable and the next one, and a later one varies in length, Flink takes the match that "
+        "completes first; add AND NOT (...) of the one to the other",
+    ),
     "undefined variable": Construct(True, "gets no DEFINE: it is true for every row there too"),
     "quantified group": Construct(False, "Flink has no quantifier on a group of the pattern; repeat a single variable"),
     "alternation": Construct(
@@ -68,49 +81,64 @@ PORTABLE: dict[str, Construct] = {
     "ONE ROW PER MATCH": Construct(True, "as it is"),
     "ALL ROWS PER MATCH": Construct(False, "Flink has ONE ROW PER MATCH only"),
     "AFTER MATCH SKIP": Construct(True, "as it is; a skip without a row to go to stops Flink's whole job"),
-    "WITHIN": Construct(True, "as it is, in whole milliseconds, exclusive"),
-    "WITHIN finer than a millisecond": Construct(False, "Flink's times have milliseconds here; round the interval"),
-    "no DEFINE": Construct(False, "Flink's grammar wants a DEFINE; define one variable as TRUE"),
+    "WITHIN": Construct(True, "as it is, exclusive; conditions say what Flink's milliseconds leave open"),
+    "no DEFINE": Construct(True, "Flink's grammar wants one; a variable is defined as TRUE"),
+    "measure of a column's name": Construct(
+        False, "in Flink the partition columns and the first and last event stand beside it; rename the measure"
+    ),
     "TIMER": Construct(True, "a second source: the setting rows shifted by the duration, in a UNION ALL"),
     "FROM with a filter": Construct(True, "a view"),
     "UNION ALL BY NAME": Construct(True, "UNION ALL of views with their columns spelled out"),
+    "situations as input": Construct(
+        False, "Flink does not know other rules' situations as events; feed it a table of them under a type of its own"
+    ),
     # Expressions.
     "operators": Construct(True, "arithmetic, comparison, AND, OR, NOT, IN, BETWEEN, IS NULL, CASE, as they are"),
     "functions": Construct(True, "ABS, LEAST, GREATEST, SQRT, COALESCE; the root of a negative number by CASE"),
     "parameters": Construct(True, "their values are written into the SQL, durations as INTERVAL, lists after IN"),
     "FIRST and LAST": Construct(True, "as they are, with offsets"),
     "aggregates": Construct(True, "COUNT, SUM, MIN, MAX, AVG over one variable or all rows, as they are"),
+    "aggregate of an expression over all rows": Construct(
+        False, "Flink takes an expression over one variable, or a column over all rows"
+    ),
     "DISTINCT aggregate": Construct(False, "Flink has no DISTINCT inside MATCH_RECOGNIZE"),
     "other aggregate": Construct(False, "inside MATCH_RECOGNIZE portable rules have COUNT, SUM, MIN, MAX and AVG only"),
-    "PREV and NEXT": Construct(
+    "PREV": Construct(True, "the match's own earlier row, LAST(column, n), where the pattern says which that is"),
+    "PREV out of reach": Construct(
         False,
-        "Flink sees only rows that the match took; give the row before a variable of its own, and write LAST(v.column)",
+        "Flink sees only rows that the match took; give the row before a variable of its own in the pattern",
     ),
+    "NEXT": Construct(False, "Flink sees only rows that the match took, up to the row at hand"),
+    "value in place of NULL": Construct(
+        False, "COALESCE, CASE, OR and IS NULL over a variable that may have no row would see no NULL in Flink"
+    ),
+    "other function": Construct(False, "Flink has no function that gives the same value to the last bit"),
     "CLASSIFIER": Construct(False, "Flink has no CLASSIFIER(); write a rule for each variable that may be last"),
     "MATCH_NUMBER": Construct(False, "Flink has no MATCH_NUMBER(); number the rows behind the clause"),
     "RUNNING": Construct(False, "Flink's MEASURES are final; leave the word out"),
     # Places.
     "in_zone": Construct(True, "arithmetic over the polygon's edges; normalised ones with a frame size that is given"),
     "crosses": Construct(True, "arithmetic over the line's points; normalised ones with a frame size that is given"),
-    "shared zone": Construct(
-        False, "Flink does not read what the log says of a camera; draw the zone or line in the rule itself"
-    ),
-    "metres": Construct(False, "Flink does not know the camera's calibration; draw the place in pixels or normalised"),
+    "shared zone": Construct(True, "as the log says it when the script is written; after a change, write it anew"),
+    "metres": Construct(True, "arithmetic with the calibration that the log says when the script is written"),
     # Around the query.
     "time": Construct(True, "lateness is the watermark's, less a millisecond for ties; idle is its idle-timeout"),
     "once_per": Construct(True, "the first row of each key: ROW_NUMBER() OVER (PARTITION BY key ORDER BY time) = 1"),
     "cooldown": Construct(
-        False,
-        "what is held back depends on what was let through before, which Flink SQL has no "
-        "window for; hold back where situations arrive",
+        True, "one more MATCH_RECOGNIZE over the matches: the next one after the cooldown of the last"
     ),
+    "emit of matches that overlap": Construct(
+        False,
+        "what `emit` lets through depends on which match was decided first, and Flink may end overlapping ones in "
+        "another order; give all matches one length, let the first variable exclude all others, or let the last one "
+        "ask only how long ago the first was",
+    ),
+    "one station": Construct(False, "a Flink script for one station has no column `station`; leave the option out"),
 }
 """Every construct that a rule may use."""
 
 _ALLOWED: tuple[type, ...] = (exp.Count, exp.Sum, exp.Min, exp.Max, exp.Avg, exp.First, exp.Last)
-_PHYSICAL = ("PREV", "NEXT")
-_NAMED = ("CLASSIFIER", "MATCH_NUMBER", "RUNNING")
-_GROUND = ("GROUND_X", "GROUND_Y", "GROUND_SPEED")
+_NAMED = ("NEXT", "CLASSIFIER", "MATCH_NUMBER", "RUNNING")
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,37 +157,29 @@ class Refusal:
 def refusals(rule: Rule, query: Query) -> list[Refusal]:
     """Where the rule uses what Flink SQL does not have, in the order of the places; empty: it is portable."""
     passage = rule.passage("match")
-    found = {(construct, at): passage.place(at) for construct, at in _in_clause(rule, query)}
-    refused = [
-        Refusal(construct, place) for (construct, _), place in sorted(found.items(), key=lambda each: each[0][1])
-    ]
-    if rule.emit.cooldown is not None:
-        refused.append(Refusal("cooldown", rule.passage("emit", "cooldown").place(0)))
-    for field, shapes in (("zones", rule.zones), ("lines", rule.lines)):
-        refused += [
-            Refusal("metres", rule.passage(field, name).place(0))
-            for name, shape in shapes.items()
-            if shape.units == "metres"
-        ]
-    return refused
+    found = {(construct, at): passage.place(at) for construct, at in _in_clause(query)}
+    return [Refusal(construct, place) for (construct, _), place in sorted(found.items(), key=lambda each: each[0][1])]
 
 
-def _in_clause(rule: Rule, query: Query) -> Iterator[tuple[str, int]]:
+def _in_clause(query: Query) -> Iterator[tuple[str, int]]:
     clause = query.clause
     yield from _in_pattern(clause.pattern, clause)
     if clause.rows is not RowsPerMatch.ONE:
         yield "ALL ROWS PER MATCH", clause.rows_at
     if clause.subsets:
         yield "SUBSET", clause.subsets[0].name.at
-    if not clause.defines:
-        yield "no DEFINE", clause.pattern_at
     scalars = [each.value for each in (*clause.measures, *clause.defines)]
     for scalar in scalars:
-        yield from _in_scalar(scalar, rule)
+        yield from _in_scalar(scalar)
 
 
 def _in_pattern(pattern: Pattern, clause: Clause) -> Iterator[tuple[str, int]]:
     yield from _parts(pattern, clause.pattern_at)
+    seen: set[str] = set()
+    for variable in _variables(pattern):
+        if variable.key in seen:
+            yield "variable twice", variable.at
+        seen.add(variable.key)
     last = _last(pattern)
     if isinstance(last, Repetition) and last.greedy and last.least != last.most:
         yield "greedy last variable", last.at
@@ -188,10 +208,22 @@ def _parts(pattern: Pattern, at: int) -> Iterator[tuple[str, int]]:
                 yield "quantified group", pattern.at
             if not pattern.greedy and (pattern.least, pattern.most) == (0, 1):
                 yield "reluctant optional", pattern.at
+            if pattern.least == 0 and pattern.most not in (1, None):
+                yield "range from no row", pattern.at
             yield from _parts(body, at)
         case Concatenation(parts):
             for part in parts:
                 yield from _parts(part, at)
+
+
+def _variables(pattern: Pattern) -> Iterator[Identifier]:
+    if isinstance(pattern, Variable):
+        yield pattern.name
+    elif isinstance(pattern, Repetition | Exclusion):
+        yield from _variables(pattern.body)
+    elif not isinstance(pattern, Anchor):
+        for part in pattern.choices if isinstance(pattern, Alternation) else pattern.parts:
+            yield from _variables(part)
 
 
 def _first_place(pattern: Pattern, at: int) -> int:
@@ -228,23 +260,17 @@ def _can_be_empty(pattern: Pattern) -> bool:
             return True
 
 
-def _in_scalar(scalar: Scalar, rule: Rule) -> Iterator[tuple[str, int]]:
+def _in_scalar(scalar: Scalar) -> Iterator[tuple[str, int]]:
     for node in scalar.node.walk():
-        construct = _refused(node, rule)
+        construct = _refused(node)
         if construct is not None:
             yield construct, _offset(node, scalar.at)
 
 
-def _refused(node: exp.Expr, rule: Rule) -> str | None:
+def _refused(node: exp.Expr) -> str | None:
     name = str(node.this).upper() if isinstance(node, exp.Anonymous) else type(node).__name__.upper()
-    if name in _PHYSICAL:
-        return "PREV and NEXT"
     if name in _NAMED:
         return name
-    if name in _GROUND:
-        return "metres"
-    if name in ("IN_ZONE", "CROSSES") and any(str(part.this) in rule.shared for part in node.find_all(exp.Literal)):
-        return "shared zone"
     if isinstance(node, exp.Distinct):
         return "DISTINCT aggregate"
     kind = type(node)

@@ -110,6 +110,7 @@ class _Recognition:
         partition_by = [symbols.column(column, "PARTITION BY") for column in clause.partition_by]
         order_by = [symbols.column(each.column, "ORDER BY") for each in clause.order_by]
         self.check_exclusion()
+        self.check_names(partition_by)
         tables = self.tables()
         conditions = conditions_of(symbols)
         measures = Measures(symbols)
@@ -127,6 +128,20 @@ class _Recognition:
         if self.clause.rows is RowsPerMatch.ALL_WITH_UNMATCHED and _has_exclusion(self.clause.pattern):
             message = "WITH UNMATCHED ROWS shows every row, so PATTERN must not have {- -}"
             raise self.clause.passage.error(message, self.clause.rows_at)
+
+    def check_names(self, partition_by: Sequence[str]) -> None:
+        """Each column of the result has a name of its own."""
+        is_one = self.clause.rows is RowsPerMatch.ONE
+        taken = {name.lower(): "a column of PARTITION BY" for name in partition_by}
+        taken |= {} if is_one else {name.lower(): "a column of the input" for name in self.table.column_names}
+        for measure in self.clause.measures:
+            name = measure.name.name
+            if name.lower() in taken:
+                message = (
+                    f"MEASURES: {name!r} is the name of {taken[name.lower()]} already; the result would have it twice"
+                )
+                raise self.clause.passage.error(message, measure.name.at)
+            taken[name.lower()] = "another measure"
 
     def tables(self) -> Tables:
         try:
@@ -276,6 +291,8 @@ class _Recognition:
         sources = pa.array(output.sources, pa.int64())
         columns = {name: rows.table.column(name).take(sources) for name in (*names, *rest)}
         arrays = [*(columns[name] for name in names), *measured.columns, *(columns[name] for name in rest)]
+        if not arrays:
+            return pa.table({"": pa.nulls(len(output.sources))}).select([])
         return pa.Table.from_arrays(arrays, names=[*names, *measured.column_names, *rest])
 
 

@@ -86,6 +86,7 @@ def documented(heading: str) -> set[str]:
         ("Extras", [each for extra in PROJECT["project"]["optional-dependencies"].values() for each in extra]),
         ("For development", PROJECT["dependency-groups"]["dev"]),
         ("For benchmarks", PROJECT["dependency-groups"]["bench"]),
+        ("For the test against Flink", PROJECT["dependency-groups"]["flink"]),
     ],
 )
 def test_every_dependency_has_its_reason_in_the_docs(heading: str, requirements: list[str]) -> None:

@@ -19,9 +19,9 @@ def chosen_rule(log: Log, wanted: str) -> Rule:
         WrongUsage: There is no such file and no such rule.
         PatternError: The file is not a rule.
     """
-    path = Path(wanted)
-    if path.is_file() or path.suffix in (".yaml", ".yml"):
-        return _of_file(path)
+    rule = rule_file(wanted)
+    if rule is not None:
+        return rule
     named = _NAME.fullmatch(wanted)
     versions = deployed_versions(log, named["name"]) if named else {}
     if named is None or not versions:
@@ -30,6 +30,17 @@ def chosen_rule(log: Log, wanted: str) -> Rule:
             "Next: give a rule file, or a name of these"
         )
     return _of_version(versions, named["name"], int(named["version"] or max(versions)))
+
+
+def rule_file(wanted: str) -> Rule | None:
+    """The rule of a file; None if what is wanted is no file's name.
+
+    Raises:
+        WrongUsage: There is no such file.
+        PatternError: The file is not a rule.
+    """
+    path = Path(wanted)
+    return _of_file(path) if path.is_file() or path.suffix in (".yaml", ".yml") else None
 
 
 def other_version(log: Log, rule: Rule, wanted: str) -> Rule:

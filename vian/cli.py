@@ -39,6 +39,7 @@ MODULES = {
     "doctor": "doctor",
     "extract": "extract",
     "rules": "rules",
+    "zones": "zones",
     "station": "station",
     "evidence": "evidence",
     "archive": "archive",

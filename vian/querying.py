@@ -59,6 +59,7 @@ _WRITES = (
     duckdb.StatementType.ALTER,
     duckdb.StatementType.DROP,
 )
+_CLAUSE = "match_recognize"
 _BY_TEXT = "query_table"
 """The function that takes the name of a table as text."""
 _WORD = re.compile(rb"\w+|\"\w+\"|'\w+'")
@@ -77,17 +78,32 @@ class Scope:
 
 
 def query(log: Log, sql: str, scope: Scope = Scope()) -> pa.Table:
-    """The answer to a DuckDB query over the log.
+    """The answer to a DuckDB query over the log, in which MATCH_RECOGNIZE clauses may stand.
 
     Raises:
         WrongUsage: The SQL is not right; the message says what, and where.
     """
+    if _CLAUSE in sql.lower():
+        return _with_clauses(log, sql, scope)
     with connect(log, sql, scope) as connection:
         try:
             _check_reads(connection.extract_statements(sql))
             return connection.execute(sql).to_arrow_table()
         except duckdb.Error as error:
             raise _explained(str(error), log) from error
+
+
+def _with_clauses(log: Log, sql: str, scope: Scope) -> pa.Table:
+    from patterns.errors import RuleError  # half a second that queries without the clause need not wait for
+    from patterns.queries import answer, take_apart
+
+    try:
+        plan = take_apart(sql)
+        with connect(log, sql, scope) as connection:
+            _check_reads(connection.extract_statements(plan.rest.sql))
+            return answer(plan, connection)
+    except (RuleError, duckdb.Error) as error:
+        raise _explained(str(error), log) from error
 
 
 def connect(log: Log, sql: str, scope: Scope) -> duckdb.DuckDBPyConnection:
@@ -235,8 +251,6 @@ def _explained(text: str, log: Log) -> WrongUsage:
     if "Table with name" in text:
         # DuckDB guesses among its own tables only: ours are there when the query names them.
         text, hint = _GUESS.sub("", text), f"\nTables: {known}."
-    if "match_recognize" in text.lower():
-        hint = "\nMATCH_RECOGNIZE in queries is not supported yet; rules have it: vian rules run."
     return WrongUsage(f"the query is not right: {text}{hint}")
 
 

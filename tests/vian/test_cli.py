@@ -50,6 +50,7 @@ def test_the_commands_are_those_that_there_should_be() -> None:
         "evidence export", "evidence verify", "extract motion", "init", "project", "project maintain",
         "project rebuild", "project status", "psql", "query", "restore", "rules check", "rules run", "serve", "shell",
         "sign", "station add", "streams", "sync", "tail", "upgrade", "verify",
+        "zones calibrate", "zones define", "zones draw", "zones import", "zones list", "zones remove",
     }  # fmt: skip
 
 

@@ -164,9 +164,31 @@ def test_what_duckdb_says_of_a_mistake_is_passed_on(log: Log, sql: str) -> None:
         query(log, sql)
 
 
-def test_match_recognize_is_not_supported_yet(log: Log) -> None:
-    with pytest.raises(WrongUsage, match="MATCH_RECOGNIZE in queries is not supported yet; rules have it"):
-        query(log, "select * from track_point match_recognize (pattern (a) define a as x > 1)")
+JUMPS = """
+from (select source, frame, x from track_point where frame < 6) match_recognize (
+  partition by source order by frame measures first(frame) as f, last(frame) as l, count(*) as n
+  pattern (a b*) define b as b.frame = prev(b.frame) + 1) as m
+join (select distinct source as "source" from track_ended right join track_point using (source)) using (source)
+order by source
+"""
+
+
+def test_match_recognize_clauses_are_answered_over_the_log(filled: Log) -> None:
+    assert rows(filled, JUMPS) == [
+        {"source": "gate", "f": 0, "l": 5, "n": 6},
+        {"source": "yard", "f": 0, "l": 2, "n": 3},
+    ]
+    assert rows(filled, JUMPS, sources=["yard"]) == [{"source": "yard", "f": 0, "l": 2, "n": 3}]
+
+
+def test_a_mistake_in_a_clause_or_around_it_has_its_place(log: Log) -> None:
+    clause = "match_recognize (order by frame pattern (a) define a as y > nothing)"
+    with pytest.raises(WrongUsage, match=r"the query is not right: <query>:2:78: DEFINE: unknown column 'nothing'"):
+        query(log, f"select *\nfrom track_point {clause}")
+    with pytest.raises(
+        WrongUsage, match=r"<query>:2:2: Catalog Error: Table with name nowhere.*\n.*\n +\^\nTables: events"
+    ):
+        query(log, f"from\n nowhere {clause}")
 
 
 def test_a_query_opens_no_connection_to_the_network(filled: Log, monkeypatch: pytest.MonkeyPatch) -> None:

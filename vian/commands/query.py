@@ -41,7 +41,7 @@ def register(app: typer.Typer) -> None:
 def query(
     sql: Annotated[
         str,
-        typer.Argument(help="DuckDB SQL; each event type is a table, `events` holds all envelopes."),
+        typer.Argument(help="DuckDB SQL, MATCH_RECOGNIZE too; each event type is a table, `events` has all envelopes."),
     ],
     format_: Annotated[
         Format, typer.Option("--format", help="Form of the answer: table, csv, json, parquet or arrow.")

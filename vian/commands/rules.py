@@ -20,6 +20,7 @@ from vian.clock import utc_now
 from vian.commands import (
     rules_backtest,
     rules_explain,
+    rules_flink,
     rules_profile,
     rules_service,
     rules_why_not,
@@ -140,5 +141,13 @@ def run(
         raise WorldFailed(f"rules were set aside: {reasons}")
 
 
-for _module in (rules_write, rules_backtest, rules_explain, rules_why_not, rules_profile, rules_service):
+for _module in (
+    rules_write,
+    rules_backtest,
+    rules_explain,
+    rules_why_not,
+    rules_profile,
+    rules_service,
+    rules_flink,
+):
     _module.register(app)

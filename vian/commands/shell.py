@@ -30,7 +30,7 @@ PROMPT, CONTINUED = "vian> ", "  ..> "
 _HISTORY_LINES = 1_000
 _END = re.compile(rb";")
 _HELP = """\
-A statement is DuckDB SQL and ends with ; on this line or a later one.
+A statement is DuckDB SQL, MATCH_RECOGNIZE too, and ends with ; on this line or a later one.
 .tables          the tables that there are
 .format FORMAT   how answers are written: table, csv or json
 .help            this text

@@ -33,6 +33,11 @@ def test_an_answer_is_a_table(filled: Log, run: Run) -> None:
     assert ran.err == ""
 
 
+def test_match_recognize_answers_too(filled: Log, run: Run) -> None:
+    sql = "from track_point match_recognize (order by frame measures count(*) as n pattern (a+) define a as frame > 3)"
+    assert run("query", sql, "--dsn", filled.dsn, "--format", "csv").out == '"n"\n6\n'
+
+
 def test_json_is_one_object_a_row_whatever_the_values(filled: Log, run: Run) -> None:
     ran = run("query", ODD, "--dsn", filled.dsn, "--json")
     (row,) = [json.loads(line, parse_constant=pytest.fail) for line in ran.out.splitlines()]
@@ -106,7 +111,7 @@ def test_a_query_is_pruned_by_time_and_source(filled: Log, run: Run) -> None:
         (["selct 1"], "the query is not right: Parser Error: syntax error"),
         (["select * from nowhere"], "Tables: events, streams, activity_interval"),
         (["select 1", "--since", "yesterday"], "--since must be a time such as"),
-        (["select * from track_point match_recognize (pattern (a))"], "not supported yet"),
+        (["select * from track_point match_recognize (patern (a))"], "<query>:1:44: wanted one of the clauses"),
     ],
 )
 def test_a_mistake_is_wrong_usage(filled: Log, run: Run, arguments: list[str], said: str) -> None:

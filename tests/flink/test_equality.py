@@ -1,0 +1,92 @@
+"""The same rows in both engines give the same situations: measures, partition, first and last event.
+
+Run by `make flink-test`, which makes the environment; elsewhere these are skipped.
+"""
+
+import os
+from pathlib import Path
+
+import pytest
+
+from events import load_catalogue
+from patterns import Rule, RuleError, load_rule, load_rules
+from patterns.binder import bind
+from patterns.cases import case_rows, case_site
+from patterns.flink import translate
+from patterns.processor import schemas
+from patterns.site import Site
+from patterns.template import templates
+from tests.flink.equality import PYTHON, ROOT, Case, comparable, ours, theirs
+from tests.flink.samples import random_letters, random_rows, random_rule, site_of
+from tests.patterns.samples import SCHEMAS
+
+pytestmark = [
+    pytest.mark.skipif("VIAN_FLINK" not in os.environ, reason="Flink runs with `make flink-test`"),
+    pytest.mark.timeout(900),
+]
+
+SEED = int(os.environ.get("VIAN_FLINK_SEED", "1"))
+RANDOM_RULES = int(os.environ.get("VIAN_FLINK_RULES", "40"))
+"""How many random rules that Flink can say are compared."""
+
+
+def _cases(rule: Rule) -> list[Case]:
+    """The rule with the rows of its own tests, and with random ones."""
+    known = schemas(load_catalogue())
+    cases = []
+    for index, test in enumerate(rule.tests):
+        site = site_of(rule)
+        site.take(case_site(test))
+        rows = case_rows(bind(rule, known, site=site), index)
+        cases.append(Case(f"{rule.rule}_{index}", rule, rows, known, site))
+    for seed in (SEED, SEED + 1):
+        rows = random_rows(rule, known, site, seed, 400)
+        cases.append(Case(f"{rule.rule}_random_{seed}", rule, rows, known, site))
+    return cases
+
+
+def _random() -> list[Case]:
+    cases = []
+    seed = SEED * 1_000_000
+    while len(cases) < RANDOM_RULES:
+        seed += 1
+        rule = random_rule(seed)
+        try:
+            translate(rule, SCHEMAS)
+        except RuleError:
+            continue
+        cases.append(Case(f"random_{seed}", rule, random_letters(seed, 120), SCHEMAS, Site()))
+    return cases
+
+
+def _compared(cases: list[Case], folder: Path) -> None:
+    found = theirs(cases, folder)
+    wrong = {}
+    situations = 0
+    for case in cases:
+        mine = comparable(case, ours(case))
+        yours = comparable(case, found[case.name])
+        situations += len(mine)
+        if mine != yours:
+            missing = [row for row in mine if row not in yours]
+            extra = [row for row in yours if row not in mine]
+            wrong[case.name] = (case.rule.match, len(mine), len(yours), missing[:2], extra[:2])
+    print(f"{len(cases)} cases, {situations} situations in both engines, seed {SEED}")  # noqa: T201 - what was compared
+    assert wrong == {}
+    assert situations > len(cases)
+
+
+def test_the_environment_is_there() -> None:
+    assert PYTHON.exists(), "no Flink. Next: make flink"
+
+
+def test_shipped_rules_find_the_same(tmp_path: Path) -> None:
+    _compared([case for rule in load_rules(ROOT / "patterns" / "rules") for case in _cases(rule)], tmp_path)
+
+
+def test_templates_find_the_same(tmp_path: Path) -> None:
+    _compared([case for each in templates().values() for case in _cases(load_rule(each.case_file))], tmp_path)
+
+
+def test_random_rules_find_the_same(tmp_path: Path) -> None:
+    _compared(_random(), tmp_path)
