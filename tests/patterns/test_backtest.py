@@ -12,7 +12,7 @@ from patterns.processor.passes import site_at
 from patterns.rule import Rule
 from store import Log
 from tests.conftest import MakeLog
-from tests.patterns.test_processor import STATION, add_video, end, point, rule, say, situations, walkers
+from tests.patterns.walkers import STATION, add_video, end, point, rule, say, situations, walkers
 
 COOLED = "{lateness: 1 s}\nemit: {once_per: [source, track_id], cooldown: 5 s}"
 

@@ -9,7 +9,7 @@ from patterns.binder import bind
 from patterns.processor import schemas
 from patterns.profiling import PARTS, Function, measured, profiled, shares_of, steps_of
 from store import Log
-from tests.patterns.test_processor import rule, walkers
+from tests.patterns.walkers import rule, walkers
 
 HOME = Path(patterns.__file__).parent
 

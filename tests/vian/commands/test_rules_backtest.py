@@ -9,7 +9,7 @@ import pytest
 
 from patterns.processor import Processor, deploy
 from store import Log
-from tests.patterns.test_processor import STATION, T0, add_video, end, point, rule, say, walkers
+from tests.patterns.walkers import STATION, T0, add_video, end, point, rule, say, walkers
 from tests.vian.conftest import Run
 from tests.vian.test_rules import HIGH, write_rule
 from vian.querying import query

@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 
 from store import Log
-from tests.patterns.test_processor import walkers
+from tests.patterns.walkers import walkers
 from tests.vian.conftest import Run
 from tests.vian.test_rules import SHIPPED, write_rule
 
