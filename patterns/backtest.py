@@ -17,7 +17,7 @@ from patterns.bound import BoundRule
 from patterns.errors import MatchError
 from patterns.processor.deploying import Service
 from patterns.processor.limits import ProcessorLimits
-from patterns.processor.members import Member
+from patterns.processor.members import Finding, Member
 from patterns.processor.passes import CONTROL, Pass, SiteEvent
 from patterns.processor.saving import Mark
 from patterns.ruleset import RuleStatus
@@ -83,20 +83,27 @@ class Backtest:
         Raises:
             PatternError: The rule cannot go on; online it would be set aside here.
         """
-        outcome = Outcome()
-        for finding in self._pass.take(segment):
-            outcome += finding.outcome
-        if self._member.failure is not None:
-            raise self._member.failure
+        outcome = self._told(self._pass.take(segment))
         if segment.stream.type in _SITE_TYPES:
             self._learn_all(segment)
         return outcome
 
+    def settle(self) -> Outcome:
+        """What follows from the log's holding no more."""
+        return self._told(self._pass.settle())
+
+    def _told(self, findings: Iterable[Finding]) -> Outcome:
+        outcome = Outcome()
+        for finding in findings:
+            outcome += finding.outcome
+        if self._member.failure is not None:
+            raise self._member.failure
+        return outcome
+
     def _learn_all(self, segment: Segment) -> None:
         with suppress(UnknownType):
-            for sequence, event in enumerate(
-                events_of(decode(segment, self._catalogue)), segment.header.first_sequence
-            ):
+            events = events_of(decode(segment, self._catalogue))
+            for sequence, event in enumerate(events, segment.header.first_sequence):
                 self._learn(event, str(segment.stream), sequence)
 
     def _learn(self, event: Any, stream: str, sequence: int) -> None:

@@ -87,6 +87,8 @@ def backtested(
             last_wanted = last_wanted or _last_position(log, backtest, span, segment.position)
             if segment.position >= last_wanted:
                 break
+    else:
+        result.matches += [each for each in backtest.settle().matches if span.shows(decided_at(each))]
     status = backtest.status
     result.rows, result.late, result.held_back = status.counts.rows, status.counts.late, status.held_back
     result.waiting = status.rows_waiting

@@ -16,7 +16,7 @@ from events import SituationDetected
 from patterns.backtest import Pair, paired
 from patterns.binder import bind
 from patterns.bound import BoundRule
-from patterns.processor import SOURCE, ProcessorLimits, schemas, situation_of
+from patterns.processor import SOURCE, ProcessorLimits, readable_by, situation_of
 from patterns.rule import Rule
 from patterns.situations import Match
 from store import Log
@@ -98,7 +98,7 @@ def _span(since: str | None, until: str | None, sources: list[str] | None) -> Sp
 
 def _ran(log: Log, rule: Rule, span: Span, limits: ProcessorLimits, output: Output) -> Backtested:
     """What came of the rule, with remarks on what else is worth knowing on standard error."""
-    bound = bind(rule, schemas(log.catalogue))
+    bound = bind(rule, readable_by(log, rule))
     for remark in misplaced(log, [rule]):
         output.note(f"warning: {remark}")
     with output.progress(_label(rule), float(log.head())) as bar:
