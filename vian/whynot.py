@@ -39,6 +39,7 @@ def past_of(log: Log, bound: BoundRule, question: Question, limits: ProcessorLim
     matches: list[Match] = []
     late: set[tuple[str, int]] = set()
     is_cut_after = False
+    newest: datetime | None = None
     for segment in segments_of(log, backtest, Span(after=after)):
         outcome = backtest.take(segment)
         matches += outcome.matches
@@ -46,12 +47,14 @@ def past_of(log: Log, bound: BoundRule, question: Question, limits: ProcessorLim
         if segment.stream.type in bound.types:
             batches += _rows(log, segment, begin, end)
             is_cut_after |= segment.header.time_max > end
+            newest = segment.header.time_max if newest is None else max(newest, segment.header.time_max)
     return Past(
         rows=pa.concat_tables(batches, promote_options="default") if batches else _nothing(log, bound),
         late=frozenset(late),
         decided=[each for each in _decided(bound, matches) if _is_near(each.match, begin, end)],
         site=backtest.site,
         watermark=backtest.status.watermark,
+        newest=newest,
         is_cut_before=any(True for _ in _earlier_segments(log, bound, begin)),
         is_cut_after=is_cut_after,
     )

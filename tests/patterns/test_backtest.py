@@ -7,12 +7,13 @@ import pytest
 from events import Draft, SituationDetected
 from patterns.backtest import CONTROL_TYPES, Backtest, paired
 from patterns.binder import bind
-from patterns.processor import Processor, drafts_of, schemas
+from patterns.loading import parse_rule
+from patterns.processor import Processor, deploy, drafts_of, readable_by, schemas, situation_of
 from patterns.processor.passes import site_at
 from patterns.rule import Rule
 from store import Log
 from tests.conftest import MakeLog
-from tests.patterns.walkers import STATION, add_video, end, point, rule, say, situations, walkers
+from tests.patterns.walkers import STATION, T0, add_video, end, point, rule, say, situations, walkers
 
 COOLED = "{lateness: 1 s}\nemit: {once_per: [source, track_id], cooldown: 5 s}"
 
@@ -49,6 +50,35 @@ def test_a_backtest_says_byte_for_byte_what_was_appended_online(log: Log, change
     assert [(d.stream, d.producer, d.payload) for d in drafts] == [
         (s.stream, s.header.producer, s.payload) for s in stored
     ]
+
+
+TWICE = """
+rule: twice
+version: 1
+title: "{n} came in"
+severity: info
+match: |
+  SELECT * FROM situation('enters') MATCH_RECOGNIZE (
+    PARTITION BY track_id ORDER BY time, sequence
+    MEASURES COUNT(*) AS n, LAST(a.x) AS x
+    ONE ROW PER MATCH AFTER MATCH SKIP TO NEXT ROW PATTERN (a a))
+"""
+
+
+def test_a_rule_that_reads_situations_is_backtested_over_those_that_the_log_holds(log: Log) -> None:
+    walkers(log)
+    upper, lower = parse_rule(TWICE), rule()
+    deploy(log, STATION, [lower, upper], {}, T0)
+    Processor(log, STATION, [lower, upper]).catch_up()
+
+    run = Backtest(bind(upper, readable_by(log, upper)), log.catalogue)
+    types = [*run.row_types, *CONTROL_TYPES]
+    matches = [each for segment in log.read_all(types=types) for each in run.take(segment).matches]
+    matches += run.settle().matches
+
+    stored = [each for each in situations(log) if each.rule == "twice"]
+    assert len(stored) > 2
+    assert [situation_of(each) for each in matches] == stored
 
 
 def test_a_rule_that_begins_behind_a_position_knows_the_cameras_from_before_it(make_log: MakeLog) -> None:
