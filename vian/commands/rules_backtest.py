@@ -3,7 +3,7 @@
 import json
 import sys
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime
 from typing import Annotated, Any
@@ -12,11 +12,12 @@ import pyarrow as pa
 import pyarrow.csv
 import typer
 
-from events import SituationDetected
+from events import SituationDetected, SituationShadowed, decode, events_of
 from patterns.backtest import Pair, paired
 from patterns.binder import bind
 from patterns.bound import BoundRule
 from patterns.processor import SOURCE, ProcessorLimits, readable_by, situation_of
+from patterns.processor.writing import producer_of
 from patterns.rule import Rule
 from patterns.situations import Match
 from store import Log
@@ -82,7 +83,8 @@ def backtest(
         other = None if against is None else other_version(log, one, against)
         first = _events(_ran(log, one, span, limits, output))
         if other is None:
-            _show_all(first, settings.station, output, as_csv)
+            recorded = {} if as_csv or as_json else _recorded(log, one)
+            _show_all(first, settings.station, recorded, output, as_csv)
         else:
             second = _events(_ran(log, other, span, limits, output))
             names = (_label(one), _label(other))
@@ -132,7 +134,25 @@ def _source(match: Match) -> str:
     return str(match.partition.get("source") or SOURCE)
 
 
-def _show_all(found: Sequence[tuple[str, SituationDetected]], station: str, output: Output, as_csv: bool) -> None:
+def _recorded(log: Log, rule: Rule) -> dict[str, str]:
+    """How the situations of the rule that the log has were recorded, by identity."""
+    how = {SituationDetected: "yes", SituationShadowed: "in shadow"}
+    return {
+        event.situation: how[type(event)]
+        for segment in log.read_all(types=[each.type_name for each in how])
+        if segment.header.producer == producer_of(rule)
+        for event in events_of(decode(segment, log.catalogue))
+        if isinstance(event, SituationDetected | SituationShadowed)
+    }
+
+
+def _show_all(
+    found: Sequence[tuple[str, SituationDetected]],
+    station: str,
+    recorded: Mapping[str, str],
+    output: Output,
+    as_csv: bool,
+) -> None:
     place = {"station": station, "type": str(SituationDetected.type_name)}
     rows = [{**place, "source": source, **event.model_dump(mode="json")} for source, event in found]
     if as_csv:
@@ -141,7 +161,8 @@ def _show_all(found: Sequence[tuple[str, SituationDetected]], station: str, outp
         for row in rows:
             output.result(row)
     else:
-        output.table("", _COLUMNS, [_cells(event) for _, event in found])
+        rows_shown = [(*_cells(event), recorded.get(event.situation, "no")) for _, event in found]
+        output.table("", (*_COLUMNS, "in the log"), rows_shown)
         output.line(f"{len(found)} situations")
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from patterns.processor import Processor, deploy
+from patterns.processor import Processor, deploy, retire
 from store import Log
 from tests.patterns.walkers import STATION, T0, add_video, end, point, rule, say, walkers
 from tests.vian.conftest import Run
@@ -57,6 +57,20 @@ def test_two_versions_are_shown_side_by_side(walked: Log, run: Run) -> None:
     assert ran.out.startswith("A is enters v1, B is enters v2\n")
     assert ran.out.splitlines()[-1] == "7 both, 1 only A, 0 only B"
     assert "ended_at" in ran.out
+
+
+def test_it_is_said_which_situations_the_log_has_and_which_in_shadow(walked: Log, run: Run) -> None:
+    def recorded(version: str) -> list[str]:
+        out = run("rules", "backtest", f"enters@{version}", "--dsn", walked.dsn, "--station", STATION).out
+        return [line.rstrip(" │").rpartition("│")[2].strip() for line in out.splitlines() if "came in" in line]
+
+    assert recorded("1") == ["yes"] * 8
+    assert recorded("2") == ["no"] * 7
+    shadowed = rule(version=2, pattern="(outside inside inside)")
+    retire(walked, STATION, "enters", T0)
+    deploy(walked, STATION, [shadowed], {}, T0, after=0, is_shadow=True)
+    Processor(walked, STATION).catch_up()
+    assert recorded("2") == ["in shadow"] * 7
 
 
 def test_csv_has_a_header_and_a_line_for_each_situation(walked: Log, run: Run) -> None:
