@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from sqlglot import exp
 
 from patterns.bound import How, Register
-from patterns.duck import Remembered, sql_of
+from patterns.duck import Aggregated, Remembered, sql_of
 from patterns.navigation import (
     AggregateReading,
     MatchNumber,
@@ -366,12 +366,13 @@ class _Builder:
         kinds = {f"a{index}": kind for index, (_, kind) in enumerate(lists)}
         number = {_NUMBER_NAME: "BIGINT"}
         given = self.symbols.check_types("DEFINE", self.scalar, call, kinds | number)
-        ask = Remembered(self.symbols.duck, sql_of(call), number, kinds)
+        ask = Aggregated(self.symbols.duck, sql_of(call), kinds | number)
         indices = [index for index, _ in lists]
 
         def read(values: Sequence[Any], registers: Sequence[Any]) -> Any:
             number = registers[-1] if self.needs_number else 0
-            return ask.evaluated([*[[_plain(value) for value in listed(registers[at])] for at in indices], number])
+            columns = [[_plain(value) for value in listed(registers[at])] for at in indices]
+            return ask([*columns, [number] * len(columns[0])])
 
         return self.new_place(_Place(given, read, frozenset(indices)))
 
@@ -445,7 +446,7 @@ class _Builder:
         names = sorted(_names(node))
         places = [self.place(name) for name in names]
         kinds = {name: place.kind for name, place in zip(names, places, strict=True)}
-        ask = Remembered(self.symbols.duck, sql_of(node), kinds, {})
+        ask = Remembered(self.symbols.duck, sql_of(node), kinds)
         reads = [place.read for place in places]
         return lambda values, registers: ask([_plain(read(values, registers)) for read in reads])
 

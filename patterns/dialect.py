@@ -9,6 +9,7 @@ is a name and its arguments. Navigation and `RUNNING`, `FINAL` are told apart by
 from typing import ClassVar
 
 from sqlglot.dialects.duckdb import DuckDB
+from sqlglot.parser import Parser
 from sqlglot.parsers.duckdb import DuckDBParser
 
 _OF_A_GRAMMAR = ("CAST", "TRY_CAST", "EXTRACT", "TRIM", "POSITION", "SUBSTRING", "OVERLAY")
@@ -21,6 +22,7 @@ class ClauseDialect(DuckDB):
         """Reads every function as `Anonymous`, but for those of a grammar of their own."""
 
         FUNCTIONS: ClassVar = {}
+        PLACEHOLDER_PARSERS: ClassVar = {**Parser.PLACEHOLDER_PARSERS, **DuckDBParser.PLACEHOLDER_PARSERS}
         NO_PAREN_FUNCTIONS: ClassVar = {}
         FUNCTION_PARSERS: ClassVar = {
             name: parser for name, parser in DuckDBParser.FUNCTION_PARSERS.items() if name in _OF_A_GRAMMAR

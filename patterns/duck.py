@@ -13,7 +13,7 @@ import pyarrow as pa
 from sqlglot import exp
 
 from patterns.dialect import ClauseDialect
-from patterns.errors import MatchError
+from patterns.errors import LimitError, MatchError
 
 _NO_AGGREGATES = frozenset(
     ("CUME_DIST", "DENSE_RANK", "FILL", "FIRST", "FIRST_VALUE", "LAG", "LAST", "LAST_VALUE", "LEAD", "NTH_VALUE",
@@ -22,21 +22,13 @@ _NO_AGGREGATES = frozenset(
 _MEMO_MOST = 100_000
 
 
-@cache
-def _functions(kind: str) -> frozenset[str]:
-    """See `Duck.functions`; which there are is settled when DuckDB is built, and asking takes a tenth of a second."""
-    condition = "function_type = 'aggregate'" if kind == "aggregate" else "stability <> 'CONSISTENT'"
-    with duckdb.connect() as connection:
-        found = connection.execute(
-            f"SELECT DISTINCT upper(function_name) FROM duckdb_functions() WHERE {condition}"
-        ).fetchall()
-    return frozenset(name for (name,) in found) - (_NO_AGGREGATES if kind == "aggregate" else frozenset())
-
-
 class Duck:
     """Evaluates SQL expressions. Not for several threads at once."""
 
-    def __init__(self) -> None:
+    def __init__(self, questions_most: int) -> None:
+        """Opens the connection; `questions_most` is the limit `questions`."""
+        self.questions_most = questions_most
+        self.questions = 0
         self.connection = duckdb.connect(config={"threads": 1})
         self.connection.execute("SET integer_division = true; SET TimeZone = 'UTC'")
 
@@ -44,9 +36,18 @@ class Duck:
         """Gives the connection back."""
         self.connection.close()
 
-    def functions(self, kind: str) -> frozenset[str]:
-        """The names, in upper case, of the `aggregate` functions, or of those that are not `steady`."""
-        return _functions(kind)
+    def count_question(self) -> None:
+        """Counts one question about a partial match.
+
+        Raises:
+            LimitError: There were too many.
+        """
+        self.questions += 1
+        if self.questions > self.questions_most:
+            raise LimitError(
+                f"DEFINE asked DuckDB {self.questions} times about partial matches; the limit `questions` is "
+                f"{self.questions_most}. Use COUNT, SUM, MIN, MAX, AVG, comparisons and sums of columns"
+            )
 
     def columns(self, table: pa.Table, expressions: Sequence[str]) -> list[pa.ChunkedArray]:
         """For each expression its value at each row of the table.
@@ -109,27 +110,19 @@ class Duck:
 class Remembered:
     """One expression over single values, by DuckDB, once for each combination of them."""
 
-    def __init__(self, duck: Duck, expression: str, columns: Mapping[str, str], lists: Mapping[str, str]) -> None:
-        """Prepares the question.
-
-        Args:
-            duck: The evaluator.
-            expression: Over the columns; where there are lists, an aggregate.
-            columns: Names and types of those with one value.
-            lists: Names and types of those with a list of values, one a row.
-        """
-        typed = [f"unnest(CAST(${at} AS {kind}[])) AS {quoted(name)}" for at, (name, kind) in
-                 enumerate(lists.items(), start=1)]  # fmt: skip
-        typed += [f"CAST(${at} AS {kind}) AS {quoted(name)}" for at, (name, kind) in
-                  enumerate(columns.items(), start=len(lists) + 1)]  # fmt: skip
-        self.query = f"SELECT {expression} AS c0 FROM (SELECT {', '.join(typed)})"
+    def __init__(self, duck: Duck, expression: str, columns: Mapping[str, str]) -> None:
+        """Prepares the question; `columns` are the names and types of what the expression reads."""
+        typed = ", ".join(f"CAST(${at} AS {kind}) AS {quoted(name)}"
+                          for at, (name, kind) in enumerate(columns.items(), start=1))  # fmt: skip
+        self.query = f"SELECT {expression} AS c0 FROM (SELECT {typed})"
         self.duck = duck
         self.memo: dict[str, Any] = {}
 
     def __call__(self, values: Sequence[Any]) -> Any:
-        """The expression's value where lists and columns, in this order, have these.
+        """The expression's value where the columns, in their order, have these.
 
         Raises:
+            LimitError: DuckDB was asked too often.
             MatchError: DuckDB cannot evaluate it.
         """
         key = repr(values)
@@ -141,11 +134,54 @@ class Remembered:
 
     def evaluated(self, values: Sequence[Any]) -> Any:
         """As called, without looking into the memory."""
+        self.duck.count_question()
         try:
             found = self.duck.connection.execute(self.query, list(values))
             return found.to_arrow_table().column(0)[0].as_py()
         except duckdb.Error as error:
             raise MatchError(f"DuckDB: {first_line(error)}") from error
+
+
+class Aggregated:
+    """One aggregate over lists of values, one value a row, by DuckDB."""
+
+    def __init__(self, duck: Duck, expression: str, columns: Mapping[str, str]) -> None:
+        """Prepares the question; `columns` are the names and types of what the aggregate reads of a row."""
+        typed = ", ".join(f"CAST({quoted(name)} AS {kind}) AS {quoted(name)}" for name, kind in columns.items())
+        self.query = f"SELECT {expression} AS c0 FROM (SELECT {typed} FROM listed_rows)"
+        self.names = tuple(columns)
+        self.duck = duck
+
+    def __call__(self, lists: Sequence[Sequence[Any]]) -> Any:
+        """The aggregate over rows of these values, column by column.
+
+        Raises:
+            LimitError: DuckDB was asked too often.
+            MatchError: DuckDB cannot evaluate it.
+        """
+        self.duck.count_question()
+        rows = pa.table({name: pa.array(values) for name, values in zip(self.names, lists, strict=True)})
+        return self.duck.table(self.query, listed_rows=rows).column(0)[0].as_py()
+
+
+@cache
+def aggregates() -> frozenset[str]:
+    """The names, in upper case, of DuckDB's aggregate functions."""
+    return _functions("function_type = 'aggregate'") - _NO_AGGREGATES
+
+
+@cache
+def unsteady_functions() -> frozenset[str]:
+    """The names, in upper case, of functions whose value changes from call to call or from query to query."""
+    return _functions("stability <> 'CONSISTENT'")
+
+
+def _functions(condition: str) -> frozenset[str]:
+    with duckdb.connect() as connection:
+        found = connection.execute(
+            f"SELECT DISTINCT upper(function_name) FROM duckdb_functions() WHERE {condition}"
+        ).fetchall()
+    return frozenset(name for (name,) in found)
 
 
 def sql_of(node: exp.Expr) -> str:

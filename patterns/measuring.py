@@ -12,7 +12,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 from sqlglot import exp
 
-from patterns.duck import quoted, sql_of
+from patterns.duck import sql_of
 from patterns.navigation import AggregateReading, Frame, MatchNumber, Reader, Reading, RowReading, function_name
 from patterns.ordered import OrderedRows
 from patterns.symbols import Symbols
@@ -68,7 +68,9 @@ class Measures:
         for measure, expression in zip(symbols.clause.measures, self.expressions, strict=True):
             symbols.check_types("MEASURES", measure.value, expression, self.types)
 
-    def evaluated(self, rows: OrderedRows, matched: MatchedRows, places: Places, is_all_rows: bool) -> pa.Table:
+    def evaluated(
+        self, rows: OrderedRows, matched: MatchedRows, places: Places, is_all_rows: bool
+    ) -> list[pa.ChunkedArray]:
         """The measures at these places, in their order.
 
         Raises:
@@ -79,13 +81,9 @@ class Measures:
             {_MATCHED: pa.array(places.matches >= 0)}
             | {name: reading.column(each) for name, each in self.columns.items() if each is not None}
         )
-        if not self.expressions:
-            return table.select([])
         has_unmatched = bool((places.matches < 0).any())
         wanted = [_guarded(sql_of(expression), has_unmatched) for expression in self.expressions]
-        names = [quoted(measure.name.name) for measure in self.symbols.clause.measures]
-        selected = ", ".join(f"{text} AS {name}" for text, name in zip(wanted, names, strict=True))
-        return self.symbols.duck.table(f"SELECT {selected} FROM places_at_hand", places_at_hand=table)
+        return self.symbols.duck.columns(table, wanted)
 
     def _taken_apart(self, measure: Named) -> exp.Expr:
         reader = self.symbols.reader("MEASURES", measure.value)

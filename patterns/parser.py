@@ -352,6 +352,8 @@ class _Parser:
                     raise self.passage.error(message, word.start) from error
             raise self.passage.error(f"{clause}: {_complaint(error)}", at) from error
         tree = trees[0]
+        if isinstance(tree, exp.Alias) and tree.args.get("alias") is None:  # DuckDB's `name: value`, without a name
+            tree = tree.this
         if len(trees) != 1 or not isinstance(tree, exp.Paren | exp.Subquery):
             raise self.passage.error(f"{clause}: not one scalar expression", words[0].start)
         if isinstance(tree.this, exp.Alias):

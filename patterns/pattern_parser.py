@@ -53,7 +53,6 @@ class _Reader:
     def __init__(self, passage: Passage, at: int) -> None:
         self.passage = passage
         self.at = at
-        self.is_excluded = False
 
     def group(self, depth: int) -> Pattern:
         """What stands in parentheses; nothing is the empty pattern."""
@@ -113,12 +112,8 @@ class _Reader:
 
     def exclusion(self, depth: int) -> Pattern:
         opening = self.at
-        if self.is_excluded:
-            self.fail("PATTERN: {- -} stands inside {- -}; leave out the inner one")
         self.at += 2
-        self.is_excluded = True
         body = self.alternation(depth + 1)
-        self.is_excluded = False
         if not self.stands("-}"):
             if self.peek() == "":
                 self.at = opening

@@ -228,9 +228,9 @@ class _Writer:
             case Permutation(parts):
                 self.permutation(parts)
             case Exclusion(body):
-                self.is_excluded = True
+                around, self.is_excluded = self.is_excluded, True
                 self.pattern(body)
-                self.is_excluded = False
+                self.is_excluded = around
             case Anchor(is_start):
                 self.code.append(Assert(is_start))
 

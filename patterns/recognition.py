@@ -62,9 +62,10 @@ def recognise(
         LimitError: A limit was reached.
         MatchError: An expression fails on a row.
     """
-    duck = Duck()
+    limits = limits or Limits()
+    duck = Duck(limits.questions)
     try:
-        return _Recognition(duck, clause, table, dict(params or {}), limits or Limits()).result()
+        return _Recognition(duck, clause, table, dict(params or {}), limits).result()
     finally:
         duck.close()
 
@@ -279,21 +280,22 @@ class _Recognition:
         self,
         rows: OrderedRows,
         output: _Output,
-        measured: pa.Table,
+        measured: Sequence[pa.ChunkedArray],
         partition_by: Sequence[str],
         order_by: Sequence[str],
     ) -> pa.Table:
-        names = list(dict.fromkeys(partition_by))
+        names = list(partition_by)
         rest: list[str] = []
         if self.clause.rows is not RowsPerMatch.ONE:
-            names = list(dict.fromkeys((*partition_by, *order_by)))
+            names += order_by
             rest = [name for name in self.table.column_names if name not in names]
         sources = pa.array(output.sources, pa.int64())
         columns = {name: rows.table.column(name).take(sources) for name in (*names, *rest)}
-        arrays = [*(columns[name] for name in names), *measured.columns, *(columns[name] for name in rest)]
+        arrays = [*(columns[name] for name in names), *measured, *(columns[name] for name in rest)]
         if not arrays:
             return pa.table({"": pa.nulls(len(output.sources))}).select([])
-        return pa.Table.from_arrays(arrays, names=[*names, *measured.column_names, *rest])
+        measures = [measure.name.name for measure in self.clause.measures]
+        return pa.Table.from_arrays(arrays, names=_apart([*names, *measures, *rest]))
 
 
 class _Search:
@@ -365,6 +367,20 @@ def _term(column: str, ordering: Ordering) -> str:
     direction = " DESC" if ordering.is_descending else " ASC"
     nulls = " NULLS FIRST" if ordering.nulls_first else " NULLS LAST"
     return quoted(column) + direction + nulls
+
+
+def _apart(names: list[str]) -> list[str]:
+    """The names, of which the later of two that are equal to DuckDB gets a number, as DuckDB does it."""
+    seen: set[str] = set()
+    found = []
+    for name in names:
+        number, free = 0, name
+        while free.lower() in seen:
+            number += 1
+            free = f"{name}_{number}"
+        seen.add(free.lower())
+        found.append(free)
+    return found
 
 
 def _has_exclusion(pattern: Pattern) -> bool:

@@ -11,7 +11,7 @@ from typing import Any, NoReturn
 import duckdb
 from sqlglot import exp
 
-from patterns.duck import Duck, first_line, sql_of
+from patterns.duck import Duck, aggregates, first_line, sql_of, unsteady_functions
 from patterns.durations import microseconds
 from patterns.errors import RuleError
 from patterns.navigation import Names, Reader, column_parts, function_name, identifier_key, offset_of
@@ -30,8 +30,6 @@ class Symbols:
         types: Their types, by name.
         variables: The pattern's variables, by index.
         frames: What each variable and each SUBSET stands for.
-        aggregates: The aggregate functions, in upper case.
-        unsteady: Functions whose value changes from call to call, in upper case.
         params: Values of parameters, by name.
     """
 
@@ -41,8 +39,6 @@ class Symbols:
     types: Mapping[str, str]
     variables: tuple[str, ...]
     frames: Mapping[str, tuple[str, ...]]
-    aggregates: frozenset[str]
-    unsteady: frozenset[str]
     params: Mapping[str, Any]
 
     @classmethod
@@ -55,8 +51,7 @@ class Symbols:
         variables = tuple(dict.fromkeys(name.key for name in pattern_variables(clause.pattern)))
         columns = {name.lower(): name for name in types}
         frames = _frames(clause, variables)
-        aggregates, unsteady = duck.functions("aggregate"), duck.functions("not steady")
-        return cls(clause, duck, columns, types, variables, frames, aggregates, unsteady, params)
+        return cls(clause, duck, columns, types, variables, frames, params)
 
     def index(self, variable: str) -> int:
         """The variable's index."""
@@ -68,7 +63,7 @@ class Symbols:
 
     def reader(self, clause: str, scalar: Scalar) -> Reader:
         """What finds the readings of an expression of this clause."""
-        names = Names(self.clause.passage, clause, self.frames, self.aggregates, self.number)
+        names = Names(self.clause.passage, clause, self.frames, aggregates(), self.number)
         return Reader(names, scalar.at)
 
     def column(self, identifier: Identifier, clause: str) -> str:
@@ -95,7 +90,7 @@ class Symbols:
                 self._fail(clause, "a sub-query must not stand here; join its result outside", node, scalar)
             if isinstance(node, exp.Window):
                 self._fail(clause, "a window function must not stand here", node, scalar)
-            if function_name(node) in self.unsteady:
+            if function_name(node) in unsteady_functions():
                 name = function_name(node)
                 message = f"{name} has another value at each call, which no match can be built on"
                 self._fail(clause, message, node, scalar)

@@ -13,9 +13,7 @@ from patterns.text import Passage
 
 def recognised(clause: str, rows: str, columns: str = "id, value", **more: Any) -> pa.Table:
     """What MATCH_RECOGNIZE (clause) gives for the rows, written as VALUES writes them."""
-    connection = duckdb.connect()
-    table = connection.execute(f"SELECT * FROM (VALUES {rows}) AS t({columns})").to_arrow_table()
-    connection.close()
+    table = duckdb.sql(f"SELECT * FROM (VALUES {rows}) AS t({columns})").to_arrow_table()
     return recognised_in(clause, table, **more)
 
 

@@ -289,10 +289,6 @@ SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id PATTERN (A▸{2,1000000}))
 SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id PATTERN ({- A B▸))
 --- error -}
 
---- case an exclusion in an exclusion
-SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id ALL ROWS PER MATCH PATTERN ({- A ▸{- B -} -}))
---- error {- -} stands inside {- -}
-
 --- case an exclusion with WITH UNMATCHED ROWS
 SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id ▸ALL ROWS PER MATCH WITH UNMATCHED ROWS PATTERN (A {- B -}))
 --- error UNMATCHED
