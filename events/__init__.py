@@ -27,7 +27,7 @@ from events.motion import ActivityInterval, TrackEnded, TrackEndedV1, TrackPoint
 from events.names import Source, Station, StreamName, TypeName, source_name, station_name, type_name
 from events.plates import PlateRead
 from events.proof import CheckpointSigned, LossRecorded
-from events.relations import GroupSeen, Occupancy, PairDistance, Tally
+from events.relations import GroupSeen, Occupancy, PairDistance, StageDeployed, Tally
 from events.segment import (
     GENESIS,
     Draft,
@@ -101,6 +101,7 @@ __all__ = [
     "SituationDetected",
     "SituationShadowed",
     "Source",
+    "StageDeployed",
     "Station",
     "StreamName",
     "SyncPlanned",

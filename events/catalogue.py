@@ -20,7 +20,7 @@ from events.model import EventType
 from events.motion import ActivityInterval, TrackEnded, TrackPoint
 from events.plates import PlateRead
 from events.proof import CheckpointSigned, LossRecorded
-from events.relations import GroupSeen, Occupancy, PairDistance, Tally
+from events.relations import GroupSeen, Occupancy, PairDistance, StageDeployed, Tally
 from events.situations import RuleDeployed, RuleMissed, RuleRetired, SituationDetected, SituationShadowed
 from events.stations import SyncPlanned
 from events.work import ProcessFailed, ProcessFinished, ProcessProgressed, ProcessStarted
@@ -44,6 +44,7 @@ SHIPPED: tuple[type[EventType], ...] = (
     Occupancy,
     GroupSeen,
     Tally,
+    StageDeployed,
     ZoneDefined,
     ZoneRemoved,
     CameraCalibrated,

@@ -88,3 +88,16 @@ class Tally(EventType, type="tally", version=1, subject="key"):
     """length of the window, s"""
     events: Annotated[int, Field(ge=0)]
     """how many events lie in the window"""
+
+
+class StageDeployed(EventType, type="stage_deployed", version=1, subject="stage"):
+    """A version of a stage was put into service."""
+
+    stage: str
+    """name of the stage"""
+    stage_version: Annotated[int, Field(ge=1)]
+    """version of the stage"""
+    stage_hash: str
+    """SHA-256 of what the stage derives from, in hexadecimal"""
+    text: str
+    """the stage file, whole"""

@@ -86,6 +86,10 @@ class Backtest:
                 matches += self.run.source_ended(source).matches
         return Outcome(tuple(matches))
 
+    def settle(self) -> Outcome:
+        """What follows from the log's holding no more."""
+        return self.run.settle()
+
     def _learn(self, event: EventType, stream: str, sequence: int) -> None:
         with suppress(MatchError):  # a rule that needs it has raised
             self.site.learn(event, stream, sequence)

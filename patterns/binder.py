@@ -104,7 +104,7 @@ class _Binder:
         self.parts = _Parts()
         self.variables: dict[str, str] = {}
         self.readable = Readable({}, {})
-        self.arms = bind_arms(query.arms, schemas, query.passage, self.of_event)
+        self.arms = bind_arms(query.arms, schemas, rule.rule, query.passage, self.of_event)
         self.readable = self.arms.readable
         shown: dict[str, str] = {}
         for name in pattern_variables(query.clause.pattern):

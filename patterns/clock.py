@@ -9,6 +9,9 @@ When every live source is silent, all that has arrived is final.
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+_BEFORE_ALL_US = -(2**62)
+"""The newest time of a source that has sent nothing."""
+
 
 @dataclass(slots=True)
 class SourceTime:
@@ -45,13 +48,22 @@ class Clock:
     watermark_us: int | None = None
     sources: dict[str, SourceTime] = field(default_factory=dict)
 
-    def observe(self, source: str, newest_us: int) -> None:
-        """The source has sent rows up to this time."""
+    def observe(self, source: str, newest_us: int, *, revives: bool = True) -> None:
+        """The source has sent rows up to this time.
+
+        Args:
+            source: The source.
+            newest_us: The newest time among them.
+            revives: Whether a source that had ended is live again. Situations do not make it so: they
+                come after the end of the source that they are about.
+        """
         known = self.sources.get(source)
         if known is None:
             self.sources[source] = SourceTime(newest_us)
             return
         known.newest_us = max(known.newest_us, newest_us)
+        if known.has_ended and not revives:
+            return
         known.has_ended = known.is_idle = False
         known.has_spoken = True
 
@@ -60,6 +72,15 @@ class Clock:
         if source in self.sources:
             self.sources[source].has_ended = True
         return bool(self.sources) and all(each.has_ended for each in self.sources.values())
+
+    def end_unheard(self, source: str) -> None:
+        """The source will send no more, whether it has sent anything or not: situations about it may still come."""
+        self.sources.setdefault(source, SourceTime(_BEFORE_ALL_US)).has_ended = True
+
+    def have_ended(self, apart: str) -> bool:
+        """Whether there are sources, and all but this one will send no more."""
+        ended = [each.has_ended for name, each in self.sources.items() if name != apart]
+        return bool(ended) and all(ended)
 
     def look_for_idle(self, now_us: int) -> None:
         """Marks the sources that have been silent for the idle time, by the clock on the wall."""

@@ -19,7 +19,7 @@ import pyarrow.compute as pc
 from patterns.columns import ColumnEvaluator, Rows, arrow_type
 from patterns.durations import microseconds
 from patterns.errors import MatchError
-from patterns.expressions import Column, Const, Expr, Kind, column_names, is_row_local, reach, walk
+from patterns.expressions import Call, Column, Const, Expr, Kind, column_names, is_row_local, reach, walk
 from patterns.places import Places
 from patterns.rows import SEQUENCE, STREAM, TIME, StreamNumbers, normalised
 from patterns.syntax import Arm, Scalar
@@ -31,6 +31,7 @@ ENVELOPE = {
     "subject": Kind.STRING, "type": Kind.STRING,
 }  # fmt: skip
 
+SITUATION = "situation_detected"
 SITUATION_FIELDS = {
     "situation": Kind.STRING, "rule": Kind.STRING, "rule_version": Kind.INT, "severity": Kind.STRING,
     "title": Kind.STRING, "began_at": Kind.TIME, "ended_at": Kind.TIME,
@@ -73,7 +74,7 @@ class Input:
     @property
     def is_plain(self) -> bool:
         """Whether a row is the event itself: its columns by their own names, none computed."""
-        return self.situation_of is None and all(
+        return self.type != SITUATION and all(
             isinstance(value, Column) and value.name == name for name, value in self.projected.items()
         )
 
@@ -90,9 +91,13 @@ class Input:
             return None
         if self.situation_of is not None:
             events = situation_columns(events, self.situation_of, self.reads)
+        elif self.type == SITUATION:
+            events = resting_on_none(events)
         events = normalised(events, self.reads, streams)
         if self.where is not None and events.num_rows:
             events = events.filter(pa.array(_evaluator(events, places).truth(self.where)))
+        if events.num_rows == 0:
+            return None
         if self.is_plain:
             return events.select([STREAM, TIME, SEQUENCE, *self.projected])
         evaluator = _evaluator(events, places)
@@ -154,13 +159,14 @@ def situation_key(rule: str) -> str:
 
 
 def bind_arms(
-    arms: Sequence[Arm], schemas: Mapping[str, pa.Schema], passage: Passage, translate: Translate
+    arms: Sequence[Arm], schemas: Mapping[str, pa.Schema], own: str, passage: Passage, translate: Translate
 ) -> BoundArms:
     """The arms with their names resolved.
 
     Args:
         arms: FROM, as parsed.
         schemas: The event types there are; situations of a rule under `situation_key`.
+        own: The rule that reads: it never reads its own situations.
         passage: The SQL, for errors.
         translate: Resolves the names of an expression.
 
@@ -171,7 +177,7 @@ def bind_arms(
     unreadable: dict[str, str] = {}
     bound = []
     for arm in arms:
-        read = _readable(arm, schemas, passage)
+        read = _readable(arm, schemas, own, passage)
         where = None if arm.where is None else _checked(arm.where, "WHERE", read, passage, translate)
         if where is not None and where.kind not in (Kind.BOOL, Kind.NULL):
             assert arm.where is not None, "a filter was translated"
@@ -180,10 +186,27 @@ def bind_arms(
         for name, value in columns.items():
             kinds[name] = _united(name, kinds.get(name), value.kind, passage, places.get(name, arm.source_type.at))
         unreadable |= read.unreadable if arm.has_star else {}
+        if arm.source_type.name == SITUATION and arm.situation_of is None:
+            where = _and(where, Call("<>", (Column("rule", Kind.STRING), Const(own, Kind.STRING)), Kind.BOOL))
         bound.append((arm.source_type.name, arm.situation_of, where, columns))
     kinds = {name: Kind.STRING if kind is Kind.NULL else kind for name, kind in kinds.items()}
     unreadable = {name: why for name, why in unreadable.items() if name not in kinds}
     return BoundArms(Readable(kinds, unreadable), tuple(bound))
+
+
+def resting_on_none(events: pa.Table) -> pa.Table:
+    """The situations among these that rest on no situation themselves, so that no rule can feed on its own.
+
+    Events without lineage, as a test may give them, rest on none.
+    """
+    if "lineage" not in events.column_names:
+        return events
+    ending = f"/{SITUATION}"
+    rests = [
+        any(matched["stream"].endswith(ending) for matched in lineage)
+        for lineage in events.column("lineage").to_pylist()
+    ]  # fmt: skip
+    return events.filter(pa.array([not each for each in rests], pa.bool_()))
 
 
 def situation_columns(events: pa.Table, rule: str, reads: Mapping[str, Kind]) -> pa.Table:
@@ -219,8 +242,14 @@ def _from_json(value: Any, kind: Kind, name: str) -> Any:
     return float(value) if kind is Kind.FLOAT else value
 
 
-def _readable(arm: Arm, schemas: Mapping[str, pa.Schema], passage: Passage) -> Readable:
+def _and(left: Expr | None, right: Expr) -> Expr:
+    return right if left is None else Call("and", (left, right), Kind.BOOL)
+
+
+def _readable(arm: Arm, schemas: Mapping[str, pa.Schema], own: str, passage: Passage) -> Readable:
     name = arm.source_type.name if arm.situation_of is None else situation_key(arm.situation_of)
+    if arm.situation_of == own:
+        raise passage.error(f"FROM: a rule cannot feed on its own situations: {own} reads {own}", arm.source_type.at)
     if name not in schemas:
         is_type = arm.situation_of is None
         have = ", ".join(sorted(each for each in schemas if each.startswith("situation(") is not is_type)) or "none"

@@ -5,6 +5,7 @@ in a value, or at any character of the SQL, names its line and column in the
 file. The SQL is parsed when the rule is loaded, and bound later.
 """
 
+import re
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
@@ -24,6 +25,8 @@ from patterns.text import Document, Passage
 FILE_SIZE_MOST = 1_000_000
 DEPTH_MOST = 20
 """Deepest nesting of lists and mappings in a rule file; the format needs 4."""
+
+_STAGE_KEY = re.compile(rb"^stage\s*:", re.MULTILINE)
 
 KeyPath = tuple[str, ...]
 M = TypeVar("M", bound=BaseModel)
@@ -49,10 +52,29 @@ def load_rules(path: Path) -> list[Rule]:
 
 
 def rule_files(path: Path) -> list[Path]:
+    """The file itself, or all `*.yaml` and `*.yml` files of a directory that are not of stages, by name."""
+    return [each for each in yaml_files(path) if path.is_file() or not is_stage_file(each)]
+
+
+def stage_files(path: Path) -> list[Path]:
+    """The file itself, or all `*.yaml` and `*.yml` files of a directory that are of stages, by name."""
+    return [each for each in yaml_files(path) if path.is_file() or is_stage_file(each)]
+
+
+def yaml_files(path: Path) -> list[Path]:
     """The file itself, or all `*.yaml` and `*.yml` files of a directory, by name."""
     if not path.is_dir():
         return [path]
     return sorted(each for each in path.iterdir() if each.suffix in (".yaml", ".yml"))
+
+
+def is_stage_file(path: Path) -> bool:
+    """Whether a file says a stage, by its first key; one that cannot be read says none."""
+    try:
+        with path.open("rb") as file:
+            return _STAGE_KEY.search(file.read(FILE_SIZE_MOST)) is not None
+    except OSError:
+        return False
 
 
 def load_rule(path: Path) -> Rule:

@@ -154,6 +154,10 @@ class RuleSetRun:
         """The source will send no more."""
         return self._each(lambda run: run.source_ended(source))
 
+    def settle(self) -> Outcomes:
+        """All that was said so far has come, what rules found included."""
+        return self._each(lambda run: run.settle())
+
     def advance_idle(self, now: datetime) -> Outcomes:
         """Looks, by the clock on the wall, for sources that have been silent for the idle time."""
         return self._each(lambda run: run.advance_idle(now))

@@ -23,7 +23,7 @@ from patterns.durations import microseconds
 from patterns.emitter import Emitter
 from patterns.engine import Engine, Key
 from patterns.errors import StateError
-from patterns.inputs import rows_of
+from patterns.inputs import SITUATION, rows_of
 from patterns.matcher import Found
 from patterns.rows import (
     SEQUENCE,
@@ -39,6 +39,9 @@ from patterns.site import Site
 from patterns.situations import EventRef, Match, Narrator, as_microseconds, event_ref, nearest_time
 from patterns.timers import TIMER_STREAM
 from patterns.titles import Scalar
+
+SITUATIONS_SOURCE = "rules"
+"""Source of the situations of rules that are not partitioned by source. No process ends it."""
 
 Rows: TypeAlias = pa.Table | pa.RecordBatch
 
@@ -119,6 +122,7 @@ class RuleRun:
         self._waiting: list[pa.Table] = []
         self._waiting_min_us: int | None = None
         self._emitter = Emitter(rule.emit)
+        self._reads_situations = SITUATION in bound.types
         self._attach()
 
     @property
@@ -180,15 +184,26 @@ class RuleRun:
         if table.num_rows == 0:
             return Outcome()
         late = self._take(table)
-        for source, newest in newest_by_source(table):
-            self._clock.observe(source, newest)
+        self._observe(table)
         return Outcome(self._advance(), late)
 
     def source_ended(self, source: str) -> Outcome:
-        """The source will send no more, so it holds nothing up; when all have ended, the input has."""
-        if self._clock.end(source):
+        """The source will send no more, so it holds nothing up; when all have ended, the input has.
+
+        The input of a rule that reads situations has not: what other rules found until then is still to come.
+        It ends with `settle`.
+        """
+        if self._reads_situations:
+            self._clock.end_unheard(source)
+        elif self._clock.end(source):
             return self.finish()
         return Outcome(self._advance())
+
+    def settle(self) -> Outcome:
+        """All that was said so far has come. A rule that reads situations is finished where all sources have ended."""
+        if self._reads_situations and self._clock.have_ended(apart=SITUATIONS_SOURCE):
+            return self.finish()
+        return Outcome()
 
     def advance_idle(self, now: datetime) -> Outcome:
         """Looks, by the clock on the wall, for sources that have been silent for the idle time."""
@@ -213,8 +228,7 @@ class RuleRun:
         table = _as_table(rows)
         check_envelope(table)
         self._take(table)
-        for source, newest in newest_by_source(table):
-            self._clock.observe(source, newest)
+        self._observe(table)
 
     def state(self) -> bytes:
         """All that the run remembers; `restore` in a new run of the same rule goes on from it."""
@@ -265,6 +279,16 @@ class RuleRun:
     def _attach(self) -> None:
         self._engine = Engine(self.bound, self._site)
         self._narrator = Narrator(self.bound, self._engine.places, self._streams.names)
+
+    def _observe(self, table: pa.Table) -> None:
+        if not self._reads_situations:
+            for source, newest in newest_by_source(table):
+                self._clock.observe(source, newest)
+            return
+        is_situation = pc.equal(table.column("type"), SITUATION)
+        for rows, revives in ((table.filter(pc.invert(is_situation)), True), (table.filter(is_situation), False)):
+            for source, newest in newest_by_source(rows):
+                self._clock.observe(source, newest, revives=revives)
 
     def _take(self, table: pa.Table) -> tuple[EventRef, ...]:
         """Holds the rows that are in time; the others."""

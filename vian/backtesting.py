@@ -83,6 +83,8 @@ def backtested(log: Log, bound: BoundRule, span: Span, on_position: Callable[[in
             last_wanted = last_wanted or _last_position(log, bound, span, segment.position)
             if segment.position >= last_wanted:
                 break
+    else:
+        result.matches += [each for each in backtest.settle().matches if span.shows(decided_at(each))]
     counts = backtest.run.counts
     result.rows, result.late, result.held_back = counts.rows, counts.late, backtest.run.held_back
     result.waiting = backtest.run.rows_waiting

@@ -39,6 +39,7 @@ MODULES = {
     "doctor": "doctor",
     "extract": "extract",
     "rules": "rules",
+    "stages": "stages",
     "zones": "zones",
     "station": "station",
     "evidence": "evidence",

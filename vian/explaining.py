@@ -30,7 +30,7 @@ from patterns.errors import PatternError
 from patterns.inputs import rows_of
 from patterns.loading import parse_rule
 from patterns.places import Places
-from patterns.processor import schemas
+from patterns.processor import readable_by
 from patterns.rows import SEQUENCE, StreamNumbers
 from patterns.rule import Rule
 from patterns.site import SITE_TYPES, Site
@@ -152,7 +152,7 @@ def _bound(log: Log, found: Explained) -> BoundRule | None:
     if found.rule is None:
         return None
     try:
-        return bind(found.rule, schemas(log.catalogue))
+        return bind(found.rule, readable_by(log, found.rule))
     except PatternError as error:
         found.missing.append(f"rule {found.rule.rule} does not fit this log any more: {error}")
         return None

@@ -1,16 +1,19 @@
 """Rules from files into service."""
 
 from collections.abc import Sequence
+from contextlib import suppress
 from datetime import timedelta
 from pathlib import Path
 from typing import Literal
 
 from patterns.binder import bind
+from patterns.errors import RuleError
 from patterns.expanding import expand
-from patterns.loading import load_rules, rule_files
+from patterns.loading import load_rule, load_rules, rule_files, yaml_files
 from patterns.parser import parse
 from patterns.processor import OpenMatches, ProcessorLimits, deploy, schemas
 from patterns.rule import Rule
+from patterns.strata import with_situations
 from store import Log
 from vian.clock import utc_now
 from vian.errors import WrongUsage
@@ -41,19 +44,30 @@ def load_all(paths: Sequence[Path]) -> list[Rule]:
     return rules
 
 
-def files_of(paths: Sequence[Path]) -> list[Path]:
-    """The rule files of files and folders, in order, each once.
+def files_of(paths: Sequence[Path], *, with_stages: bool = False) -> list[Path]:
+    """The rule files of files and folders, in order, each once; those of stages too, where they are wanted.
 
     Raises:
         WrongUsage: There are none, or a folder cannot be read.
     """
     try:
-        files = list(dict.fromkeys(file for path in paths for file in rule_files(path)))
+        files_in = yaml_files if with_stages else rule_files
+        files = list(dict.fromkeys(file for path in paths for file in files_in(path)))
     except OSError as error:
         raise WrongUsage(f"the folder {error.filename} cannot be read: {error.strerror}") from error
     if not files:
         raise WrongUsage(f"no rule files (*.yaml) in {', '.join(map(str, paths))}")
     return files
+
+
+def readable_rules(files: Sequence[Path]) -> list[Rule]:
+    """The rules of those of the files that are rules, one of a name."""
+    rules: dict[str, Rule] = {}
+    for file in files:
+        with suppress(RuleError, OSError):
+            rule = load_rule(file)
+            rules.setdefault(rule.rule, rule)
+    return list(rules.values())
 
 
 def misplaced(log: Log, rules: Sequence[Rule]) -> list[str]:
@@ -102,7 +116,7 @@ def check_fit(log: Log, rules: Sequence[Rule]) -> None:
     Raises:
         RuleError: One does not.
     """
-    known = schemas(log.catalogue)
+    known = with_situations(schemas(log.catalogue), rules)
     for rule in rules:
         bind(rule, known)
 

@@ -10,18 +10,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from time import monotonic
 
-import pyarrow as pa
 import structlog
 
 from patterns.binder import bind
 from patterns.errors import PatternError
 from patterns.loading import load_rule, rule_files
-from patterns.processor import Processor, ProcessorLimits, retire, schemas, standing
+from patterns.processor import Processor, ProcessorLimits, readable_by, retire, standing
 from patterns.rule import Rule
 from store import Log
 from vian.clock import utc_now
 from vian.parts import Part, stepping
-from vian.rules import check_fit, deploy_all, load_all, misplaced
+from vian.rules import check_fit, deploy_all, load_all, misplaced, readable_rules
 
 logger = structlog.get_logger()
 
@@ -84,7 +83,6 @@ class RulesWatch:
         self._clock = clock
         self._every_s = every_s
         self._next_s = clock()
-        self._schemas: Mapping[str, pa.Schema] = schemas(log.catalogue)
         self._seen: dict[Path, _Seen] = {}
         self._missing: set[Path] = set()
 
@@ -142,7 +140,7 @@ class RulesWatch:
             rule = load_rule(path)
             if rule.rule in names:
                 raise rule.error(f"the rule {rule.rule!r} is also defined in {names[rule.rule]}", "rule")
-            bind(rule, self._schemas)
+            bind(rule, readable_by(self._log, rule, readable_rules([*names.values(), path])))
         except (PatternError, OSError) as error:
             logger.error("a rule file is left out; what runs goes on", file=str(path), error=str(error))
             return None

@@ -6,6 +6,7 @@ failed, may be deployed again: it then begins anew, behind its retirement unless
 """
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import datetime
 from typing import Literal
@@ -32,6 +33,7 @@ from patterns.expanding import expand
 from patterns.loading import parse_rule
 from patterns.processor.writing import SOURCE, producer_of
 from patterns.rule import Rule
+from patterns.strata import rules_read, strata, with_situations
 from store import Log
 
 OpenMatches = Literal["dropped", "finished"]
@@ -86,6 +88,36 @@ def schemas(catalogue: Catalogue) -> dict[str, pa.Schema]:
     return {str(each.type_name): pa.schema([*envelope, *schema_of(each)]) for each in catalogue}
 
 
+def readable_by(log: Log, rule: Rule, others: Sequence[Rule] | None = None) -> Mapping[str, pa.Schema]:
+    """What the rule may be written over: the event types, and the situations of the other rules that it names.
+
+    Args:
+        log: The log.
+        rule: The rule.
+        others: The other rules there are; None: those that the log says are in service.
+
+    Raises:
+        RuleError: The rule's situations lead back to it.
+    """
+    known = schemas(log.catalogue)
+    if not rules_read(rule):
+        return known
+    if others is None:
+        stations = {head.stream.station for head in log.streams() if head.stream.type == RuleDeployed.type_name}
+        others = [each for station in sorted(stations) for each in _in_service(standing(log, station))]
+    return with_situations(known, list({each.rule: each for each in (*others, rule)}.values()))
+
+
+def _in_service(services: Mapping[Key, Service]) -> list[Rule]:
+    """The rules that are in service and still rules for this program."""
+    found = []
+    for service in services.values():
+        if service.retirement is None:
+            with suppress(RuleError):
+                found.append(rule_of(service))
+    return found
+
+
 def deploy(
     log: Log,
     station: str,
@@ -113,10 +145,11 @@ def deploy(
 
     Raises:
         PatternError: A version that was deployed before now has another content, or is in service
-            already and was to begin elsewhere.
+            already and was to begin elsewhere; or a rule's situations would lead back to it.
     """
     heads = _heads(log, station)
     known = standing(log, station)
+    strata({each.rule: each for each in (*_in_service(known), *rules)}.values())
     drafts: list[Draft] = []
     deployed = []
     for rule in rules:

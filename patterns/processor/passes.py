@@ -27,6 +27,7 @@ from events import (
 )
 from patterns.durations import microseconds
 from patterns.errors import RuleTooSlow
+from patterns.inputs import SITUATION
 from patterns.processor.limits import ProcessorLimits
 from patterns.processor.members import Finding, Member
 from patterns.processor.saving import SavedState
@@ -158,6 +159,19 @@ class Pass:
                 moved = [n for n, at in before.items() if n in rules.rules and rules.status(n).watermark != at]
                 outcomes = {name: outcomes.get(name, _NOTHING) for name in (*moved, *outcomes)}
                 findings += self._findings(outcomes, rules, is_by_silence=True)
+        return findings
+
+    @property
+    def reads_situations(self) -> bool:
+        """Whether what rules find leads to more."""
+        return any(SITUATION in types for types in self._sets)
+
+    def settle(self) -> list[Finding]:
+        """What follows for rules that read situations from there being nothing more to come: sources have ended."""
+        findings = []
+        for types, rules in list(self._sets.items()):
+            if SITUATION in types:
+                findings += self._findings(rules.settle(), rules, is_by_silence=True)
         return findings
 
     def pace(self) -> None:

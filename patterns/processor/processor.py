@@ -15,10 +15,12 @@ holds the watermark back, and when no source is live the rule's input has ended.
 
 import logging
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from itertools import islice
+
+import pyarrow as pa
 
 from events import Segment, SituationDetected, SituationShadowed, decode
 from patterns.binder import bind
@@ -31,6 +33,7 @@ from patterns.processor.deploying import (
     Retirement,
     Service,
     note,
+    readable_by,
     rule_of,
     schemas,
     standing,
@@ -47,6 +50,7 @@ from patterns.processor.saving import (
 from patterns.processor.writing import SOURCE, producer_of
 from patterns.rule import Rule
 from patterns.situations import as_microseconds
+from patterns.strata import rules_read, with_situations
 from store import Log, LogUnavailable, Subscription
 
 logger = logging.getLogger(__name__)
@@ -103,7 +107,7 @@ class Processor:
         self._segments_skipped = 0
         self._recorded_at = datetime(1970, 1, 1, tzinfo=UTC)
         for rule in rules or ():
-            bind(rule, self._schemas)  # a given rule that does not fit is told at once
+            bind(rule, self._readable_by(rule))  # a given rule that does not fit is told at once
         self._committer = Committer(log, station, self._at, is_recording_ends=rules is None)
         self._subscription = Subscription(log, "rules", limit=self._limits.segments)
         self._begin()
@@ -198,7 +202,7 @@ class Processor:
         assert self._given is not None, "what is deployed runs, not what is given"
         wanted = {(each.rule, each.version): each for each in rules}
         for rule in rules:
-            bind(rule, self._schemas)
+            bind(rule, with_situations(self._schemas, rules))
         at = self._main.position
         gone = Retirement(at, "told", open_matches, "it was taken from the rules")
         for member in self._members():
@@ -263,7 +267,7 @@ class Processor:
         if gone is not None and gone.position <= service.after:
             return
         try:
-            member = Member(service, bind(self._rule(service), self._schemas), Mark(service.after, service.life))
+            member = self._member(service)
         except PatternError as error:
             self._set_aside(service, error)
             if self._given is None and gone is None:
@@ -276,6 +280,20 @@ class Processor:
             if row.position > service.after:
                 member.known = self._identities(service)
             self._pass_for(service.after if start is None else start).add(member)
+
+    def _member(self, service: Service) -> Member:
+        rule = self._rule(service)
+        return Member(service, bind(rule, self._readable_by(rule)), Mark(service.after, service.life))
+
+    def _readable_by(self, rule: Rule) -> Mapping[str, pa.Schema]:
+        """What the rule may be written over.
+
+        Raises:
+            RuleError: The rule's situations lead back to it.
+        """
+        if not rules_read(rule):
+            return self._schemas
+        return readable_by(self._log, rule, None if self._given is None else list(self._given.values()))
 
     def _rule(self, service: Service) -> Rule:
         given = (self._given or {}).get(service.key)
@@ -335,6 +353,9 @@ class Processor:
         self._is_stale = True  # until what follows from the segments is known, the rules are ahead of it
         findings = [finding for segment in segments for finding in self._taken(self._main, segment)]
         self._main.position = position
+        if self._main.reads_situations:
+            is_caught_up = is_caught_up and not segments  # what these led to is still to be read
+            findings += self._main.settle() if is_caught_up else []
         if is_caught_up and self._now is not None:
             findings += self._main.fall_idle(self._now())
         self._subscription.position = position

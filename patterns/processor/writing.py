@@ -11,9 +11,10 @@ from typing import Any
 
 from events import Draft, MatchedRange, Producer, SituationDetected, SituationShadowed, StreamName, batch_of, encode
 from patterns.rule import Rule
+from patterns.running import SITUATIONS_SOURCE
 from patterns.situations import Match
 
-SOURCE = "rules"
+SOURCE = SITUATIONS_SOURCE
 """Source of deployments, and of situations of a rule that is not partitioned by source."""
 
 

@@ -2,20 +2,20 @@
 
 from pathlib import Path
 
-from patterns.loading import read_document, read_text, rule_files
+from patterns.loading import read_document, read_text, stage_files
 from patterns.stages.settings import Stage
 from patterns.text import Document
 
 
 def load_stages(path: Path) -> list[Stage]:
-    """The stage of a file, or the stages of all `*.yaml` and `*.yml` files of a directory, by file name.
+    """The stage of a file, or the stages among all `*.yaml` and `*.yml` files of a directory, by file name.
 
     Raises:
         RuleError: A file that is not a stage, or two stages of one name.
         OSError: A file that cannot be read.
     """
     stages: dict[str, Stage] = {}
-    for file in rule_files(Path(path)):
+    for file in stage_files(Path(path)):
         stage = load_stage(file)
         if stage.stage in stages:
             raise stage.error(f"stage {stage.stage!r} is also defined in {stages[stage.stage].path}", "stage")

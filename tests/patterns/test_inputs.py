@@ -137,3 +137,24 @@ def test_a_test_of_several_types_says_the_type_of_each_row() -> None:
     text = BOTH + "tests:\n  - given: [{time: '2026-01-01T10:00:00Z', key: 1, n: 1}]\n    expect: []\n"
     with pytest.raises(Exception, match="row 1: the rule reads several types, so a row says its `type`: letter, track"):
         run_tests(parse_rule(text), PLATES)
+
+
+def test_an_arm_that_lets_nothing_through_lets_time_go_on() -> None:
+    text = """
+rule: no-guard
+version: 1
+title: no guard
+severity: alarm
+match: |
+  SELECT * FROM (
+    SELECT key FROM letter WHERE letter = 'g'
+    UNION ALL BY NAME SELECT track_id AS key FROM track_point WHERE FALSE)
+  MATCH_RECOGNIZE (
+    ORDER BY time MEASURES overdue.time AS missed_at
+    PATTERN (guard overdue) DEFINE overdue AS TIMER(guard.time, INTERVAL '10' SECOND))
+"""
+    run = RuleRun(bind(parse_rule(text), PLATES))
+    assert run.push(letter_rows([{"us": 0, "letter": "g"}, {"us": 5_000_000, "letter": "g"}])).matches == ()
+    (found,) = run.push(points([{"us": 15_000_001, "track_id": 1, "x": 0}])).matches
+    assert (found.measures["missed_at"] - BEGINNING).total_seconds() == 15
+    assert run.counts.rows == 2

@@ -14,6 +14,7 @@ from patterns.lint import Finding, check, finding_of
 from patterns.loading import load_rule
 from patterns.processor import Processor, schemas
 from patterns.rule import Rule
+from patterns.strata import with_situations
 from store import Projector
 from vian import options
 from vian.clock import utc_now
@@ -22,7 +23,7 @@ from vian.errors import WorldFailed, WrongUsage
 from vian.options import opened, settings_for
 from vian.output import Output
 from vian.parts import Parts, stepping
-from vian.rules import check_fit, deploy_all, files_of, limits_of, load_all, misplaced
+from vian.rules import check_fit, deploy_all, files_of, limits_of, load_all, misplaced, readable_rules
 
 app = typer.Typer(help="Write rules, try them on what the log holds, and run them.", no_args_is_help=True)
 
@@ -37,6 +38,11 @@ def check_rules(paths: Paths, as_json: options.Json = False) -> None:
     known = schemas(load_catalogue())
     files = files_of(paths)
     names: dict[str, Rule] = {}
+    try:
+        known = with_situations(known, readable_rules(files))
+    except RuleError as error:
+        _print_finding(None, finding_of(error), output)
+        raise WrongUsage("rules would feed on their own situations") from error
     bad = [str(file) for file in files if not _is_good(file, names, known, output)]
     if bad:
         raise WrongUsage(f"{len(bad)} of {len(files)} rule files did not pass: {', '.join(bad)}")

@@ -15,7 +15,7 @@ from events import SituationDetected
 from patterns.backtest import Pair, paired
 from patterns.binder import bind
 from patterns.bound import BoundRule
-from patterns.processor import SOURCE, schemas, situation_of
+from patterns.processor import SOURCE, readable_by, situation_of
 from patterns.rule import Rule
 from patterns.situations import Match
 from store import Log
@@ -93,7 +93,7 @@ def _span(since: str | None, until: str | None, begin: str | None, sources: list
 
 def _ran(log: Log, rule: Rule, span: Span, output: Output) -> Backtested:
     """What came of the rule, with remarks on what else is worth knowing on standard error."""
-    bound = bind(rule, schemas(log.catalogue))
+    bound = bind(rule, readable_by(log, rule))
     for remark in misplaced(log, [rule]):
         output.note(f"warning: {remark}")
     with output.progress(_label(rule), float(log.head())) as bar:

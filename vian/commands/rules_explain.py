@@ -11,7 +11,7 @@ import typer
 
 from patterns.binder import bind
 from patterns.errors import PatternError
-from patterns.processor import schemas
+from patterns.processor import readable_by
 from patterns.telling import told_time
 from store import Log
 from vian import options
@@ -65,7 +65,7 @@ def _columns(log: Log, found: Explained) -> list[str]:
     read = set(names) - set(_ENVELOPE)
     if found.rule is not None:
         with suppress(PatternError):  # it is told among what was not found
-            read &= set(bind(found.rule, schemas(log.catalogue)).columns)
+            read &= set(bind(found.rule, readable_by(log, found.rule)).columns)
     keys = set(json.loads(found.event.partition))
     return [name for name in names if name in read and name not in keys]
 

@@ -13,7 +13,7 @@ from events import StreamName
 from patterns.binder import bind
 from patterns.bound import BoundRule
 from patterns.durations import parse_duration
-from patterns.processor import schemas
+from patterns.processor import readable_by
 from patterns.situations import EventRef
 from patterns.whynot import Answer, Past, Question, SubjectUnclear, TriedRow, default_window, why_not
 from store import Log
@@ -59,7 +59,8 @@ def why_not_fired(
     assert time is not None, "it was given"
     with opened(settings_for(data_dir, dsn), data_dir=data_dir) as log:
         check_known("source", None if source is None else [source], {head.stream.source for head in log.streams()})
-        bound = bind(chosen_rule(log, rule), schemas(log.catalogue))
+        chosen = chosen_rule(log, rule)
+        bound = bind(chosen, readable_by(log, chosen))
         question = Question(time, subject, source, _duration(window) or default_window(bound))
         past = past_of(log, bound, question)
         answer = _answered(log, bound, question, past)

@@ -15,15 +15,16 @@ from patterns.cases import TestResult, run_tests
 from patterns.errors import PatternError, RuleError
 from patterns.expanding import expand
 from patterns.lint import Finding, check, finding_of
-from patterns.loading import load_rule, parse_rule
+from patterns.loading import is_stage_file, load_rule, parse_rule
 from patterns.processor import schemas
 from patterns.stages.cases import run_stage_tests
 from patterns.stages.files import load_stage
+from patterns.strata import with_situations
 from patterns.template import Template, new_rule, templates
 from vian import options
 from vian.errors import WorldFailed, WrongUsage
 from vian.output import Output, printable
-from vian.rules import files_of
+from vian.rules import files_of, readable_rules
 
 Paths = Annotated[list[Path], typer.Argument(help="Rule files, or folders of them.")]
 _TESTS = re.compile(r"^tests:\n(?:[ #].*\n|\n)*", re.MULTILINE)
@@ -169,7 +170,7 @@ def _write(text: str, file: Path) -> None:
 def lint(paths: Paths, as_json: options.Json = False) -> None:
     """Say what is wrong, or looks wrong, with rules, each at its place; nothing is run."""
     output = Output(is_json=as_json)
-    known = schemas(load_catalogue())
+    known = with_situations(schemas(load_catalogue()), readable_rules(files_of(paths)))
     findings = [finding for file in files_of(paths) for finding in _findings(file, known)]
     for each in findings:
         place = {"file": each.place.file, "line": each.place.line, "column": each.place.column}
@@ -197,10 +198,11 @@ def _unreadable(file: Path, error: OSError) -> WrongUsage:
 def run_rule_tests(paths: Paths, as_json: options.Json = False) -> None:
     """Run the tests in files of rules and stages, and show what was wanted beside what was found."""
     output = Output(is_json=as_json)
-    known = schemas(load_catalogue())
+    known = with_situations(schemas(load_catalogue()), readable_rules(files_of(paths, with_stages=True)))
     failed: list[str] = []
     count = 0
-    for file in files_of(paths):
+    files = files_of(paths, with_stages=True)
+    for file in files:
         try:
             results = _tests_of(file, known)
         except PatternError as error:
@@ -214,21 +216,17 @@ def run_rule_tests(paths: Paths, as_json: options.Json = False) -> None:
         if not results:
             output.note(f"{file}: has no tests")
     if failed:
-        raise WrongUsage(f"tests failed in {len(failed)} of {len(files_of(paths))} files: {', '.join(failed)}")
+        raise WrongUsage(f"tests failed in {len(failed)} of {len(files)} files: {', '.join(failed)}")
     output.note(f"{count} tests passed")
 
 
 def _tests_of(file: Path, known: Mapping[str, pa.Schema]) -> list[TestResult]:
     try:
-        if _is_stage(file):
+        if is_stage_file(file):
             return run_stage_tests(load_stage(file))
         return run_tests(load_rule(file), known)
     except OSError as error:
         raise _unreadable(file, error) from error
-
-
-def _is_stage(file: Path) -> bool:
-    return re.search(rb"^stage\s*:", file.read_bytes(), re.MULTILINE) is not None
 
 
 def _show_result(result: TestResult, output: Output) -> None:
