@@ -8,7 +8,7 @@ from datetime import timedelta
 from fractions import Fraction
 
 MICROSECOND = timedelta(microseconds=1)
-_UNITS_US = {"us": 1, "ms": 1_000, "s": 1_000_000, "min": 60_000_000, "h": 3_600_000_000, "d": 86_400_000_000}
+UNITS_US = {"us": 1, "ms": 1_000, "s": 1_000_000, "min": 60_000_000, "h": 3_600_000_000, "d": 86_400_000_000}
 _WRITTEN = re.compile(r"\s*([0-9]+(?:\.[0-9]+)?)\s*([a-z]+)\s*")
 
 
@@ -22,9 +22,9 @@ def parse_duration(text: str) -> timedelta:
         ValueError: Not a number and one of the units, or finer than a microsecond.
     """
     written = _WRITTEN.fullmatch(text)
-    if written is None or written[2] not in _UNITS_US:
-        raise ValueError(f"a duration is a number and one of {', '.join(_UNITS_US)}, as in '10 s'; got {text!r}")
-    microseconds = Fraction(written[1]) * _UNITS_US[written[2]]
+    if written is None or written[2] not in UNITS_US:
+        raise ValueError(f"a duration is a number and one of {', '.join(UNITS_US)}, as in '10 s'; got {text!r}")
+    microseconds = Fraction(written[1]) * UNITS_US[written[2]]
     if microseconds.denominator != 1:
         raise ValueError(f"a duration is a whole number of microseconds; got {text!r}")
     try:

@@ -65,6 +65,11 @@ def _dump(value: Any, flow: bool | None) -> str:
     return text
 
 
+def value_text(value: Any) -> str:
+    """The value as a rule file writes it, on one line."""
+    return _flow(_plain(value))
+
+
 def duration_text(duration: timedelta) -> str:
     """The duration as a rule file writes it, in the largest unit that makes it a whole number.
 

@@ -1,6 +1,7 @@
 """Checking a rule without running it: everything that is wrong or looks wrong, with its place."""
 
-from collections.abc import Mapping
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from typing import Literal
@@ -9,27 +10,73 @@ import pyarrow as pa
 
 from patterns.binder import bind
 from patterns.bound import BoundRule
+from patterns.contradictions import never_true
+from patterns.durations import UNITS_US as DURATION_UNITS
 from patterns.errors import Place, RuleError
 from patterns.expressions import Call, Crosses, Expr, InZone, walk
 from patterns.flink import check as check_flink
 from patterns.guards import constant_value
+from patterns.overlaps import overlaps
 from patterns.parser import parse
 from patterns.pattern_variables import pattern_variables
 from patterns.portable import refusals
+from patterns.quantities import FACTORS
 from patterns.rule import Rule
+from patterns.strata import with_situations
+from patterns.syntax import Alternation, Concatenation, Exclusion, Pattern, Permutation, Repetition, Variable
+from patterns.text import did_you_mean
+from patterns.tokens import canonical_name
+
+_SPOKEN = {
+    **dict.fromkeys(("sec", "secs", "second", "seconds"), "s"),
+    **dict.fromkeys(("mins", "minute", "minutes"), "min"),
+    **dict.fromkeys(("hr", "hrs", "hour", "hours"), "h"),
+    **dict.fromkeys(("day", "days"), "d"),
+    **dict.fromkeys(("kph", "kmh"), "km/h"),
+    **dict.fromkeys(("metre", "metres", "meter", "meters"), "m"),
+    **dict.fromkeys(("pixel", "pixels"), "px"),
+}
+"""What people write for a unit that is written otherwise here."""
+_NUMBER_AND_WORD = re.compile(r"\s*[0-9.]+\s*([a-zA-Z]+(?:/[a-zA-Z]+)?)\s*")
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One thing that is wrong (`error`: the rule cannot run) or looks wrong (`warning`)."""
+    """One thing that is wrong (`error`: the rule must not run) or looks wrong (`warning`).
+
+    Attributes:
+        severity: `error` or `warning`.
+        message: What it is, and what to do.
+        place: Where it stands.
+        code: What kind of thing it is, for filters.
+    """
 
     severity: Literal["error", "warning"]
     message: str
     place: Place
+    code: str = "rule"
 
     def __str__(self) -> str:
         place = self.place
-        return f"{place.file}:{place.line}:{place.column}: {self.severity}: {self.message}\n{place.excerpt}"
+        return (
+            f"{place.file}:{place.line}:{place.column}: {self.severity}: {self.message} [{self.code}]\n{place.excerpt}"
+        )
+
+
+def lint(rules: Sequence[Rule], schemas: Mapping[str, pa.Schema]) -> list[Finding]:
+    """What is wrong with the rules and what looks wrong, each by itself and beside the others."""
+    findings = [*_same_names(rules)]
+    bounds = []
+    try:
+        schemas = with_situations(schemas, rules)
+    except RuleError as error:
+        findings.append(finding_of(error))
+    for rule in rules:
+        found = check(rule, schemas)
+        findings += [*found, *_untested(rule)]
+        if not any(each.severity == "error" for each in found):
+            bounds.append(bind(rule, schemas))
+    return [*findings, *_overlapping(bounds)]
 
 
 def check(rule: Rule, schemas: Mapping[str, pa.Schema]) -> list[Finding]:
@@ -40,9 +87,14 @@ def check(rule: Rule, schemas: Mapping[str, pa.Schema]) -> list[Finding]:
         return [finding_of(error)]
     return [
         *_unused(bound),
+        *_slips(rule),
         *_undefined(bound),
         *_empty(bound),
+        *_hopeless(bound),
+        *_always(bound),
+        *_unreachable(bound),
         *_unbounded(bound),
+        *_leading_loop(bound),
         *_timed_out(bound),
         *_not_portable(rule, schemas),
     ]
@@ -51,6 +103,41 @@ def check(rule: Rule, schemas: Mapping[str, pa.Schema]) -> list[Finding]:
 def finding_of(error: RuleError) -> Finding:
     """The error as a finding."""
     return Finding("error", error.message, Place(error.file, error.line, error.column, error.excerpt))
+
+
+# Beside other rules.
+
+
+def _same_names(rules: Sequence[Rule]) -> list[Finding]:
+    first: dict[str, Rule] = {}
+    findings = []
+    for rule in rules:
+        other = first.setdefault(rule.rule, rule)
+        if other is not rule:
+            message = f"the rule {rule.rule!r} is also defined in {other.path}. Next: rename one"
+            findings.append(Finding("error", message, rule.passage("rule").place(0), "same-name"))
+    return findings
+
+
+def _untested(rule: Rule) -> list[Finding]:
+    if rule.tests:
+        return []
+    message = "the rule has no tests. Next: add `tests:` with rows, and the situations wanted of them"
+    return [Finding("warning", message, rule.passage("rule").place(0), "no-tests")]
+
+
+def _overlapping(bounds: Sequence[BoundRule]) -> list[Finding]:
+    findings = []
+    for each in overlaps(bounds):
+        narrow, wide = each.narrow.rule, each.wide.rule
+        what = "the same rows as" if each.relation == "same" else "only rows that are also taken by"
+        message = f"{narrow.rule} takes {what} {wide.rule}. Next: drop one, or let their conditions differ"
+        place = narrow.passage("match").place(parse(narrow.passage("match")).clause.pattern_at)
+        findings.append(Finding("warning", message, place, "overlap"))
+    return findings
+
+
+# Each rule by itself.
 
 
 def _unused(bound: BoundRule) -> list[Finding]:
@@ -64,14 +151,21 @@ def _unused(bound: BoundRule) -> list[Finding]:
             elif isinstance(part, Crosses):
                 used.add(part.line)
     findings = []
-    for field, names in (("zones", rule.zones), ("lines", rule.lines)):
+    for kind, field, names in (("zone", "zones", rule.zones), ("line", "lines", rule.lines)):
         findings += [
-            _warning(rule, f"{field[:-1]} {name!r} is never used", field, name) for name in names if name not in used
+            _warning(rule, f"{kind} {name!r} is never used. Next: take it out", f"unused-{field[:-1]}", field, name)
+            for name in names
+            if name not in used
         ]
+    findings += [
+        _warning(rule, f"shared {name!r} is never used. Next: take it out", "unused-shared", "shared", index)
+        for index, name in enumerate(rule.shared)
+        if name not in used
+    ]
     query = parse(rule.passage("match"))
     text = query.passage.text
     findings += [
-        _warning(rule, f"parameter {name!r} is never used", "params", name)
+        _warning(rule, f"parameter {name!r} is never used. Next: take it out", "unused-parameter", "params", name)
         for name in rule.params if f":{name}" not in text
     ]  # fmt: skip
     return findings
@@ -93,7 +187,7 @@ def _undefined(bound: BoundRule) -> list[Finding]:
                 f"{variable.name} has no DEFINE: it is true for every row. Next: define it, "
                 f"or write {defined[like[0]]} if that is meant"
             )
-            findings.setdefault(variable.key, Finding("warning", message, passage.place(variable.at)))
+            findings.setdefault(variable.key, Finding("warning", message, passage.place(variable.at), "near-miss"))
     return list(findings.values())
 
 
@@ -106,7 +200,124 @@ def _empty(bound: BoundRule) -> list[Finding]:
         "PATTERN can match no row at all, and such an empty match is no situation. "
         "Next: ask for one row or more, with + for * or without ?"
     )
-    return [Finding("warning", message, passage.place(parse(passage).clause.pattern_at))]
+    return [Finding("warning", message, passage.place(parse(passage).clause.pattern_at), "empty-match")]
+
+
+def _slips(rule: Rule) -> list[Finding]:
+    """Texts that look like a number with a unit, and are none."""
+    findings = []
+    for name, value in rule.params.items():
+        written = _NUMBER_AND_WORD.fullmatch(value) if isinstance(value, str) else None
+        if written is None:
+            continue
+        spoken = _SPOKEN.get(written[1].lower(), written[1])
+        like = did_you_mean(spoken, (*DURATION_UNITS, *FACTORS))
+        if like:
+            message = f"parameter {name!r} is the text {value!r}, no duration, length or speed{like}"
+            findings.append(_warning(rule, message, "unit", "params", name))
+    return findings
+
+
+def _hopeless(bound: BoundRule) -> list[Finding]:
+    """Variables that no row can ever be mapped to, and patterns that therefore never match."""
+    tables, passage = bound.tables, bound.rule.passage("match")
+    clause = parse(passage).clause
+    reasons = {index: why for index in range(len(bound.variables)) if (why := never_true(bound, index))}
+    if not reasons:
+        return []
+    reached = {at for at in tables.firsts() if tables.variables[at] not in reasons}
+    queue = list(reached)
+    for position in queue:
+        after = {at for at in tables.follow[position] if tables.variables[at] not in reasons} - reached
+        reached |= after
+        queue += after
+    named = "; ".join(f"{bound.variables[index]}: {why}" for index, why in reasons.items())
+    if any(tables.accepts_end[at] for at in reached):
+        message = f"a variable can never be true: {named}"
+        return [Finding("warning", message, passage.place(clause.pattern_at), "never-true")]
+    message = f"the rule can never match, because a variable can never be true: {named}"
+    return [Finding("error", message, passage.place(clause.pattern_at), "never-matches")]
+
+
+def _always(bound: BoundRule) -> list[Finding]:
+    """A pattern for which one row of any kind is a match."""
+    tables = bound.tables
+    if any(each.where is not None for each in bound.inputs):
+        return []
+    free = [at for at in tables.firsts() if tables.accepts[at] and _is_free(bound, tables.variables[at])]
+    if not free:
+        return []
+    passage = bound.rule.passage("match")
+    name = bound.variables[tables.variables[free[0]]]
+    message = f"every row is a match by itself, as {name} has no condition. Next: define {name}, or filter in FROM"
+    return [Finding("warning", message, passage.place(parse(passage).clause.pattern_at), "always-matches")]
+
+
+def _is_free(bound: BoundRule, variable: int) -> bool:
+    condition = bound.conditions[variable]
+    return not condition.predicates and condition.guard is None and not condition.is_timed
+
+
+def _unreachable(bound: BoundRule) -> list[Finding]:
+    """Branches of an alternation that one further left always takes precedence of.
+
+    Only branches of one variable are compared, and only where nothing depends on which of them took the row.
+    """
+    passage = bound.rule.passage("match")
+    numbers = {canonical_name(name, is_quoted=False): index for index, name in enumerate(bound.variables)}
+    findings = []
+    for alternation in _alternations(parse(passage).clause.pattern):
+        earlier: list[int] = []
+        for choice in alternation.choices:
+            index = numbers.get(choice.name.key) if isinstance(choice, Variable) else None
+            if index is None:
+                earlier = []
+                continue
+            hidden = next((each for each in earlier if _hides(bound, each, index)), None)
+            if hidden is not None and isinstance(choice, Variable):
+                message = (
+                    f"{bound.variables[index]} is never taken: {bound.variables[hidden]} stands before it and is true "
+                    "wherever it is. Next: put it first, or take it out"
+                )
+                findings.append(Finding("warning", message, passage.place(choice.name.at), "unreachable"))
+            earlier.append(index)
+    return findings
+
+
+def _alternations(pattern: Pattern) -> Iterator[Alternation]:
+    if isinstance(pattern, Alternation):
+        yield pattern
+    match pattern:
+        case Concatenation(parts) | Permutation(parts) | Alternation(parts):
+            for part in parts:
+                yield from _alternations(part)
+        case Repetition(body) | Exclusion(body):
+            yield from _alternations(body)
+
+
+def _hides(bound: BoundRule, first: int, later: int) -> bool:
+    """Whether a row that the later variable takes, the first takes too, and nothing remembers which it was."""
+    if first == later:
+        return True
+    one, other = bound.conditions[first], bound.conditions[later]
+    remembered = any(register.takes(first) != register.takes(later) for register in bound.registers)
+    is_plain = one.guard is None and not one.is_timed and not other.is_timed
+    return is_plain and not remembered and set(one.predicates) <= set(other.predicates)
+
+
+def _leading_loop(bound: BoundRule) -> list[Finding]:
+    """A pattern that begins with any number of any rows: each row begins a partial match that takes all after it."""
+    tables = bound.tables
+    loops = [at for at in tables.firsts() if at in tables.follow[at] and _is_free(bound, tables.variables[at])]
+    if not loops:
+        return []
+    passage = bound.rule.passage("match")
+    name = bound.variables[tables.variables[loops[0]]]
+    message = (
+        f"{name} may take any number of rows of any kind from the match's beginning, so every row begins a partial "
+        f"match that takes all rows after it: quadratic work. Next: define {name}, or leave it out"
+    )
+    return [Finding("warning", message, passage.place(parse(passage).clause.pattern_at), "quadratic")]
 
 
 def _unbounded(bound: BoundRule) -> list[Finding]:
@@ -114,17 +325,38 @@ def _unbounded(bound: BoundRule) -> list[Finding]:
     findings = []
     emit = bound.rule.emit
     if emit.once_per is not None and emit.cooldown is None:
-        message = "once_per without cooldown remembers every key for good"
-        findings.append(_warning(bound.rule, message, "emit", "once_per"))
+        message = "once_per without cooldown remembers every key for good. Next: give a cooldown"
+        findings.append(_warning(bound.rule, message, "unbounded", "emit", "once_per"))
     at = parse(bound.rule.passage("match")).clause.pattern_at
     place = bound.rule.passage("match").place(at)
     if bound.looks_back:
         message = "PREV looks at rows before the match, so a row of every partition is remembered for good"
-        findings.append(Finding("warning", message, place))
+        findings.append(Finding("warning", message, place, "unbounded"))
     elif bound.within_us is None:
+        endless = _endless(bound)
         message = "without WITHIN, a partial match of a partition that falls silent is remembered for good"
-        findings.append(Finding("warning", message, place))
+        if endless:
+            message += f", and {endless} may take rows for ever"
+        findings.append(
+            Finding("warning", f"{message}. Next: add WITHIN", place, "quadratic" if endless else "unbounded")
+        )
     return findings
+
+
+def _endless(bound: BoundRule) -> str:
+    """The variables that a match may take any number of rows for."""
+    follow = bound.tables.follow
+    endless = []
+    for position in range(len(bound.tables.variables)):
+        reached = set(follow[position])
+        queue = list(reached)
+        for each in queue:
+            after = set(follow[each]) - reached
+            reached |= after
+            queue += after
+        if position in reached:
+            endless.append(bound.variables[bound.tables.variables[position]])
+    return ", ".join(dict.fromkeys(endless))
 
 
 def _timed_out(bound: BoundRule) -> list[Finding]:
@@ -134,7 +366,7 @@ def _timed_out(bound: BoundRule) -> list[Finding]:
     if bound.within_us is None or longest < bound.within_us:
         return []
     message = "WITHIN is not longer than TIMER's duration, so the virtual row comes too late. Next: lengthen WITHIN"
-    return [Finding("warning", message, passage.place(parse(passage).clause.pattern_at))]
+    return [Finding("warning", message, passage.place(parse(passage).clause.pattern_at), "within-timer")]
 
 
 def _duration_of(bound: BoundRule, register: int) -> int:
@@ -154,7 +386,7 @@ def _not_portable(rule: Rule, schemas: Mapping[str, pa.Schema]) -> list[Finding]
         return []
     refused = refusals(rule, parse(rule.passage("match")))
     if refused:
-        return [Finding("error", each.message, each.place) for each in refused]
+        return [Finding("error", each.message, each.place, "portable") for each in refused]
     try:
         check_flink(rule, schemas)
     except RuleError as error:
@@ -168,5 +400,5 @@ def _expressions(bound: BoundRule) -> tuple[Expr, ...]:
     return (*bound.predicates, *bound.slots, *guards, *read, *(measure.value for measure in bound.measures))
 
 
-def _warning(rule: Rule, message: str, *path: str) -> Finding:
-    return Finding("warning", message, rule.passage(*path).place(0))
+def _warning(rule: Rule, message: str, code: str, *path: str | int) -> Finding:
+    return Finding("warning", message, rule.passage(*path).place(0), code)

@@ -87,6 +87,18 @@ PORTABLE: dict[str, Construct] = {
         False, "in Flink the partition columns and the first and last event stand beside it; rename the measure"
     ),
     "TIMER": Construct(True, "a second source: the setting rows shifted by the duration, in a UNION ALL"),
+    "several timers": Construct(False, "in Flink a pattern can wait for one TIMER only; write a rule for each"),
+    "TIMER from or in a loop": Construct(False, "Flink needs to know the one row that TIMER counts from and ends at"),
+    "counted loop beside a TIMER": Construct(
+        False, "Flink would count virtual rows among a loop's; beside TIMER write single variables, and * behind one"
+    ),
+    "optional first variable beside a TIMER": Construct(
+        False, "in Flink a match would begin at a virtual row there; write a rule with the variable, and one without"
+    ),
+    "rows beside a TIMER": Construct(
+        False, "Flink would take virtual rows for rows of the match here; name a variable that takes one row"
+    ),
+    "TIMER over a given table": Construct(False, "a Flink script makes the table of virtual rows beside its own"),
     "FROM with a filter": Construct(True, "a view"),
     "UNION ALL BY NAME": Construct(True, "UNION ALL of views with their columns spelled out"),
     "situations as input": Construct(
@@ -132,6 +144,9 @@ PORTABLE: dict[str, Construct] = {
         "what `emit` lets through depends on which match was decided first, and Flink may end overlapping ones in "
         "another order; give all matches one length, let the first variable exclude all others, or let the last one "
         "ask only how long ago the first was",
+    ),
+    "column of a name of the script's": Construct(
+        False, "the Flink script has columns rowtime, stream, arm and timer of its own; rename it in FROM"
     ),
     "one station": Construct(False, "a Flink script for one station has no column `station`; leave the option out"),
 }

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
-from patterns.expressions import COMPARISONS, Aggregate, Call, Const, Expr, OneOf, Reference, is_strict, walk
+from patterns.expressions import COMPARISONS, Aggregate, Call, Const, Expr, Kind, OneOf, Reference, is_strict, walk
 
 _OPPOSITE = {"=": "=", "<>": "<>", "<": ">", "<=": ">=", ">": "<", ">=": "<="}
 _ORDERINGS = {"<": {"<"}, "<=": {"<", "="}, ">": {">"}, ">=": {">", "="}, "=": {"="}, "<>": {"<", ">"}}
@@ -16,11 +16,13 @@ def exclude_each_other(first: Sequence[Expr], second: Sequence[Expr], variables:
     Conditions that read rows of the two `variables` are left out: the same words mean
     different rows there, with and without the row at hand.
     """
-    return any(
-        _contradict(one, other)
-        for one in first if not _reads(one, variables)
-        for other in second if not _reads(other, variables)
-    )  # fmt: skip
+    one, other = (_all([part for part in parts if not _reads(part, variables)]) for parts in (first, second))
+    return one is not None and other is not None and _contradict(one, other)
+
+
+def _all(parts: Sequence[Expr]) -> Expr | None:
+    """All of these together; None for nothing."""
+    return Call("and", tuple(parts), Kind.BOOL) if len(parts) > 1 else next(iter(parts), None)
 
 
 def _reads(expr: Expr, variables: set[str]) -> bool:

@@ -11,13 +11,14 @@ import pyarrow as pa
 
 from patterns.bound import BoundRule
 from patterns.durations import microseconds
-from patterns.expressions import Column, Kind
-from patterns.flink.names import TYPES, quoted, text
+from patterns.expressions import Column, Kind, reach
+from patterns.flink.names import TYPES, later_sql, quoted, text
 from patterns.flink.options import Options
 from patterns.flink.refusing import Refuse
 from patterns.flink.scalars import Place, operand_sql, sql
 from patterns.flink.shapes import Shapes
 from patterns.flink.tables import ROWTIME, create_table, kafka, table_columns
+from patterns.flink.timers import TIMER, Timer, moved_by
 from patterns.inputs import Input
 from patterns.syntax import Query
 
@@ -35,16 +36,27 @@ class Feed:
     options: Options
     shapes: Shapes
     refuse: Refuse
+    timer: Timer | None = None
 
     def tables(self) -> Iterator[tuple[str, str]]:
         """For each event type without a table its CREATE TABLE."""
         for name in dict.fromkeys(each.type for each in self.bound.inputs):
             if name not in self.options.source_tables:
                 yield name, self._table(name)
+            elif self.timer is not None:
+                self.refuse("TIMER over a given table", self.query.clause.pattern_at)
+            if self.timer is not None:
+                yield name, self._table(name, self.timer)
 
     def view(self) -> str:
         """The query for the rows that the rule reads: filtered, widened, and asked for their zones."""
-        arms = [self._arm(number, arm) for number, arm in enumerate(self.bound.inputs)]
+        taken = sorted({ROWTIME, STREAM, ARM, TIMER} & set(self.bound.columns))
+        if taken:
+            self.refuse("column of a name of the script's", self._at(0), f"; here {taken[0]!r}")
+        sources = self.options.source_tables
+        arms = [self._arm(at, arm, sources.get(arm.type, arm.type)) for at, arm in enumerate(self.bound.inputs)]
+        if self.timer is not None:
+            arms += [self._virtual(number, arm, self.timer) for number, arm in enumerate(self.bound.inputs)]
         place = Place(0, self.refuse, self.shapes)
         asked = [f"{sql(expr, place)} AS {quoted(name)}" for expr, name in self.shapes.columns.items()]
         united = "\nUNION ALL\n".join(arms)
@@ -54,8 +66,13 @@ class Feed:
     def order(self) -> list[str]:
         """The columns of the total order: event time first."""
         order = [ROWTIME] if self.options.whole_milliseconds else [ROWTIME, "time"]
-        order += [] if self.has_one_stream else [STREAM]
-        return [*order, "sequence", *([ARM] if self._has_arms_of_one_type else [])]
+        order += [] if self.timer is None else [TIMER]
+        return [*order, *self.place, *([ARM] if self._has_arms_of_one_type else [])]
+
+    @property
+    def place(self) -> list[str]:
+        """The columns that name an event among those of its partition."""
+        return ["sequence"] if self.has_one_stream else [STREAM, "sequence"]
 
     @property
     def has_one_stream(self) -> bool:
@@ -67,7 +84,7 @@ class Feed:
     def _has_arms_of_one_type(self) -> bool:
         return len(self.bound.types) < len(self.bound.inputs)
 
-    def _table(self, name: str) -> str:
+    def _table(self, name: str, timer: Timer | None = None) -> str:
         reads: dict[str, object] = {}
         for arm in self.bound.inputs:
             if arm.type == name:
@@ -75,19 +92,21 @@ class Feed:
         columns = table_columns(reads, self.schemas[name], has_stations=not self.options.one_station)
         given = {key: value.replace("{type}", name) for key, value in self.options.connector.items()}
         lateness_us = microseconds(self.bound.rule.time.lateness)
-        return create_table(name, columns, given or kafka(name), lateness_us)
+        later_us = 0 if timer is None else timer.duration_us
+        made = name if timer is None else name + moved_by(timer)
+        return create_table(made, columns, given or kafka(name), lateness_us, later_us)
 
-    def _arm(self, number: int, arm: Input) -> str:
-        """The query for the rows of one arm."""
+    def _arm(self, number: int, arm: Input, table: str) -> str:
+        """The query for the rows of one arm, over this table."""
         at = self._at(number)
         if arm.situation_of is not None:
             self.refuse("situations as input", at)
         place = Place(at, self.refuse, self.shapes)
-        events = f"SELECT {', '.join(self._events(arm, at))}\nFROM {quoted(self._source(arm))}"
-        if arm.is_plain and arm.where is None and len(self.bound.inputs) == 1:
+        events = f"SELECT {', '.join(self._events(arm, at))}\nFROM {quoted(table)}"
+        if self._is_alone(arm) and arm.where is None:
             return events
         columns = ["*"]
-        if not (arm.is_plain and len(self.bound.inputs) == 1):
+        if not self._is_alone(arm):
             columns = [quoted(name) for name in (ROWTIME, *_MOST_OFTEN_READ)]
             columns += [] if self.has_one_stream else [quoted(STREAM)]
             columns += [f"{number} AS {quoted(ARM)}"] if self._has_arms_of_one_type else []
@@ -96,8 +115,32 @@ class Feed:
                 f"CAST({operand_sql(value, place)} AS {TYPES[self.bound.columns[name]]}) AS {quoted(name)}"
                 for name, value in arm.projected.items() if name not in _MOST_OFTEN_READ
             ]  # fmt: skip
+            columns += [] if self.timer is None else [f"0 AS {quoted(TIMER)}"]
         filtered = "" if arm.where is None else f"\nWHERE {sql(arm.where, place)}"
         return f"SELECT {', '.join(columns)}\nFROM (\n{_indented(events)}\n){filtered}"
+
+    def _virtual(self, number: int, arm: Input, timer: Timer) -> str:
+        """The query for the virtual rows that the arm's events set."""
+        place = Place(self._at(number), self.refuse, self.shapes)
+        setters = self._arm(number, arm, arm.type + moved_by(timer))
+        columns = [quoted(ROWTIME), f"{later_sql('`time`', timer.duration_us)} AS `time`", "`sequence`"]
+        columns += [] if self.has_one_stream else [quoted(STREAM)]
+        columns += [quoted(ARM)] if self._has_arms_of_one_type else []
+        for name, kind in self.bound.columns.items():
+            if name in self.bound.keys:
+                columns.append(quoted(name))
+            elif name not in _MOST_OFTEN_READ:
+                value = text("timer") if name == "type" else "NULL"
+                columns.append(f"CAST({value} AS {TYPES[kind]}) AS {quoted(name)}")
+        condition = self.bound.conditions[self.bound.variables.index(timer.setter)]
+        local = [self.bound.predicates[at] for at in condition.predicates]
+        asked = [operand_sql(each, place) for each in local if not reach(each)]
+        filtered = f"\nWHERE {' AND '.join(asked)}" if asked else ""
+        return f"SELECT {', '.join([*columns, f'1 AS {quoted(TIMER)}'])}\nFROM (\n{_indented(setters)}\n){filtered}"
+
+    def _is_alone(self, arm: Input) -> bool:
+        """Whether the rows are the arm's events and nothing else."""
+        return arm.is_plain and len(self.bound.inputs) == 1 and self.timer is None
 
     def _events(self, arm: Input, at: int) -> list[str]:
         """The columns that the arm reads of an event, integers and numbers as wide as they are here."""
@@ -115,9 +158,6 @@ class Feed:
             elif name not in _MOST_OFTEN_READ:
                 columns.append(quoted(name))
         return columns
-
-    def _source(self, arm: Input) -> str:
-        return self.options.source_tables.get(arm.type, arm.type)
 
     def _at(self, number: int) -> int:
         where = self.query.arms[number].where

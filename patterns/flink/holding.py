@@ -3,8 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from patterns.flink.names import quoted
-from patterns.flink.scalars import later_sql
+from patterns.flink.names import later_sql, quoted
 
 _CHAIN = """\
 SELECT {columns}

@@ -65,3 +65,14 @@ def interval(microseconds: int) -> str | None:
     clock = f"{hours:02d}:{minutes:02d}:{seconds:02d}.{rest // MILLISECOND_US:03d}"
     precision = len(str(days))
     return f"INTERVAL '{days} {clock}' DAY({precision}) TO SECOND(3)"
+
+
+def microseconds_sql(time: str) -> str:
+    """Microseconds since 1970 of a time."""
+    return f"EXTRACT(EPOCH FROM {time}) * 1000000 + EXTRACT(MICROSECOND FROM {time})"
+
+
+def later_sql(time: str, duration_us: int) -> str:
+    """The time this much later, to the microsecond."""
+    written = interval(duration_us)
+    return f"{time} + {written}" if written else f"TO_TIMESTAMP_LTZ({microseconds_sql(time)} + {duration_us}, 6)"

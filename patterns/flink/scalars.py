@@ -22,7 +22,7 @@ from patterns.expressions import (
     is_strict,
 )
 from patterns.flink.elements import Elements
-from patterns.flink.names import constant, interval, quoted
+from patterns.flink.names import constant, interval, microseconds_sql, quoted
 from patterns.flink.refusing import Refuse
 from patterns.flink.shapes import Placed, Shapes
 
@@ -54,6 +54,8 @@ class Place:
         shapes: Zones and lines.
         elements: The pattern; None outside MATCH_RECOGNIZE, where columns are plain.
         own: The variable that DEFINE is defining; None in MEASURES.
+        has_timer: Whether virtual rows may stand among the match's rows.
+        loops: Variables that take virtual rows that are not the match's own.
     """
 
     at: int
@@ -61,6 +63,8 @@ class Place:
     shapes: Shapes
     elements: Elements | None = None
     own: str | None = None
+    has_timer: bool = False
+    loops: frozenset[str] = frozenset()
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,17 +94,6 @@ def sql(expr: Expr, place: Place) -> str:
 def operand_sql(expr: Expr, place: Place) -> str:
     """The expression as text, in parentheses where something beside it could take it apart."""
     return _Writer(place).operand(expr, _Row())
-
-
-def microseconds_sql(time: str) -> str:
-    """Microseconds since 1970 of a time."""
-    return f"EXTRACT(EPOCH FROM {time}) * 1000000 + EXTRACT(MICROSECOND FROM {time})"
-
-
-def later_sql(time: str, duration_us: int) -> str:
-    """The time this much later, to the microsecond."""
-    written = interval(duration_us)
-    return f"{time} + {written}" if written else f"TO_TIMESTAMP_LTZ({microseconds_sql(time)} + {duration_us}, 6)"
 
 
 class _Writer:
@@ -149,6 +142,9 @@ class _Writer:
     def reference(self, expr: Reference) -> str:
         variable = self.variable(expr)
         elements = self.place.elements
+        counts_all = variable is None and (expr.offset > 0 or expr.which == "last") and self.place.own is not None
+        if self.place.has_timer and (variable in self.place.loops or counts_all):
+            self.refuse("rows beside a TIMER")
         if not is_strict(expr.operand) and not self.has_row(expr, variable, elements):
             self.refuse("value in place of NULL", f"; here of {variable or 'the match'}")
         return self.text(expr.operand, _Row(False, variable, expr.which, expr.offset))
@@ -182,6 +178,8 @@ class _Writer:
 
     def earlier(self, name: str, row: _Row, elements: Elements) -> str:
         """The column some rows before the row, by counting in the match."""
+        if self.place.has_timer:
+            self.refuse("rows beside a TIMER")
         own = self.place.own
         is_at_hand = row.is_here or (row.variable == own and row.which == "last" and not row.offset)
         if own is not None and is_at_hand and elements.least_rows_before(own) >= row.back:
@@ -200,6 +198,11 @@ class _Writer:
         if expr.how not in _AGGREGATES:
             self.refuse("other aggregate")
         counted = _SEQUENCE if expr.operand is None else expr.operand
+        if self.place.has_timer and variable is None:
+            self.refuse("rows beside a TIMER")
+        if variable is not None and variable in self.place.loops:
+            real = f"{quoted(variable)}.`timer` = 0"
+            return f"{_AGGREGATES[expr.how]}(CASE WHEN {real} THEN {self.text(counted, _Row(False, variable))} END)"
         if variable is None and not isinstance(counted, Column):
             self.refuse("aggregate of an expression over all rows")
         of = quoted(counted.name) if variable is None and isinstance(counted, Column) else None

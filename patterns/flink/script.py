@@ -3,7 +3,7 @@
 Each step is a view on the one before, so that a reader can select from any of them.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import pyarrow as pa
@@ -16,12 +16,13 @@ from patterns.expressions import Call, Expr, conjuncts, is_constant
 from patterns.flink.elements import check_decided, elements_of, ends_in_order
 from patterns.flink.feeding import STREAM, Feed
 from patterns.flink.holding import Held, held_sql
-from patterns.flink.names import MILLISECOND_US, interval, quoted
+from patterns.flink.names import MILLISECOND_US, interval, later_sql, quoted
 from patterns.flink.options import Options
 from patterns.flink.refusing import Refuser, refusal
-from patterns.flink.scalars import Place, later_sql, sql
+from patterns.flink.scalars import Place, sql
 from patterns.flink.shapes import Shapes
 from patterns.flink.tables import ROWTIME
+from patterns.flink.timers import timed, timer_of
 from patterns.geometry import FrameSize
 from patterns.ground import Calibration
 from patterns.parser import parse
@@ -106,11 +107,18 @@ class _Translation:
         self.options = options
         self.refuse = Refuser(query.passage)
         self.shapes = Shapes(bound.rule, Places(bound.rule.zones, bound.rule.lines, bound.site))
-        self.feed = Feed(bound, query, schemas, options, self.shapes, self.refuse)
+        self.timer = timer_of(bound, self.clause.pattern_at, self.refuse)
+        self.feed = Feed(bound, query, schemas, options, self.shapes, self.refuse, self.timer)
         names = pattern_variables(self.clause.pattern)
         self.shown = {name.key: shown for name in reversed(names) for shown in [name.name]}
         self.elements = elements_of(self.clause.pattern, self.shown)
-        self.conditions = {name: self.own_conditions(index) for index, name in enumerate(bound.variables)}
+        self.conditions: Mapping[str, Sequence[Expr]] = {
+            name: self.own_conditions(index) for index, name in enumerate(bound.variables)
+        }
+        self.loops: frozenset[str] = frozenset()
+        if self.timer is not None:
+            made = timed(self.elements, self.conditions, self.timer, self.feed.place, self.refuse)
+            self.elements, self.conditions, self.loops = made.elements, made.conditions, made.loops
         check_decided(self.elements, self.conditions, self.refuse)
 
     def script(self) -> Script:
@@ -179,7 +187,7 @@ class _Translation:
             measure = named[output.name]
             if output.name in taken:
                 self.refuse("measure of a column's name", measure.name.at, f"; {output.name!r} is one")
-            place = Place(measure.value.at, self.refuse, self.shapes, self.elements)
+            place = self.place(measure.value.at, None)
             written[output.name] = sql(self.shapes.as_columns(output.value), place)
         return [f"{value} AS {quoted(name)}" for name, value in (written | self.identity).items()]
 
@@ -213,11 +221,15 @@ class _Translation:
         written = []
         for variable in (part.variable for part in self.elements.parts):
             at = places.get(variable, self.clause.pattern_at)
-            place = Place(at, self.refuse, self.shapes, self.elements, variable)
+            place = self.place(at, variable)
             parts = [_anded(condition, place) for condition in self.conditions[variable]] + self.in_time(variable)
             if parts:
                 written.append(f"{quoted(variable)} AS {' AND '.join(parts)}")
         return written or [f"{quoted(self.elements.parts[0].variable)} AS TRUE"]
+
+    def place(self, at: int, own: str | None) -> Place:
+        """Where an expression of MEASURES, or of a variable's DEFINE, stands."""
+        return Place(at, self.refuse, self.shapes, self.elements, own, self.timer is not None, self.loops)
 
     def own_conditions(self, index: int) -> list[Expr]:
         condition = self.bound.conditions[index]

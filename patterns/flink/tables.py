@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 import pyarrow as pa
 
-from patterns.flink.names import MILLISECOND_US, interval, quoted, text
+from patterns.flink.names import MILLISECOND_US, interval, later_sql, quoted, text
 
 ROWTIME = "rowtime"
 """The column of event time in Flink's precision, which is milliseconds; `time` keeps its microseconds."""
@@ -40,7 +40,7 @@ def create_table(
         lateness_us: How late an event may be.
         later_us: How much later than the event its row is to come: for timers.
     """
-    moved = f"`time` + {interval(later_us)}" if later_us else "`time`"
+    moved = later_sql("`time`", later_us) if later_us else "`time`"
     late = interval(lateness_us + MILLISECOND_US + (-lateness_us) % MILLISECOND_US)
     lines = [f"{quoted(each)} {kind}" for each, kind in columns.items()]
     lines.append(f"{quoted(ROWTIME)} AS CAST({moved} AS TIMESTAMP_LTZ(3))")

@@ -9,6 +9,7 @@ streaming job over bounded input. RESULTS_FOLDER gets JSON lines `{"name", "row"
 import json
 import sys
 from pathlib import Path
+from typing import Any
 
 from pyflink.common import Configuration
 from pyflink.table import EnvironmentSettings, TableEnvironment
@@ -40,6 +41,7 @@ def main(jobs_file: str, results: str) -> None:
         f"('connector' = 'filesystem', 'path' = '{results}', 'format' = 'json')"
     )
     inserts = tables.create_statement_set()
+    added: dict[int, str] = {}
     for number, job in enumerate(jobs):
         tables.execute_sql(f"CREATE DATABASE job_{number}")
         tables.execute_sql(f"USE job_{number}")
@@ -51,15 +53,23 @@ def main(jobs_file: str, results: str) -> None:
             f"INSERT INTO default_database.results SELECT '{job['name']}', "
             f"JSON_OBJECT({pairs} NULL ON NULL) FROM `{job['result']}`"
         )
-        try:
-            tables.explain_sql(insert)
-        except Exception as error:
-            raise SystemExit(f"{job['name']}: {_reason(error)}\n" + ";\n".join(job["statements"])) from None
+        added[number] = insert
         inserts.add_insert_sql(insert)
     try:
         inserts.execute().wait()
     except Exception as error:
-        raise SystemExit(_reason(error)) from None
+        raise SystemExit(f"{_reason(error)}\n{_refused(tables, jobs, added)}") from None
+
+
+def _refused(tables: TableEnvironment, jobs: list[dict[str, Any]], inserts: dict[int, str]) -> str:
+    """The first job that has no plan, if it was that."""
+    for number, insert in inserts.items():
+        tables.execute_sql(f"USE job_{number}")
+        try:
+            tables.explain_sql(insert)
+        except Exception as error:
+            return f"{jobs[number]['name']}: {_reason(error)}\n" + ";\n".join(jobs[number]["statements"])
+    return "all jobs have a plan"
 
 
 def _reason(error: Exception) -> str:

@@ -37,7 +37,8 @@ def ours(case: Case) -> list[dict[str, Any]]:
     """What this engine finds, in the form that `theirs` has."""
     bound = bind(case.rule, case.schemas, site=case.site)
     found = []
-    for each in match(bound, case.rows):
+    rows = pa.concat_tables([case.rows, _later(case.rows)]) if bound.timers else case.rows
+    for each in match(bound, rows):
         row = {**each.partition, **each.measures}
         for which, event in (("first", each.first), ("last", each.last)):
             row |= {f"{which}_stream": event.stream, f"{which}_sequence": event.sequence, f"{which}_time": event.time}
@@ -45,9 +46,21 @@ def ours(case: Case) -> list[dict[str, Any]]:
     return _sorted(found)
 
 
+def _later(rows: pa.Table) -> pa.Table:
+    """A row of no interest, a day after the last: with it time comes to every timer, as in Flink at the input's end."""
+    last = pc.max(rows.column("time")).as_py() + timedelta(days=1)
+    row = {**rows.slice(0, 1).to_pylist()[0], "type": "later", "time": last, "sequence": 1}
+    return pa.Table.from_pylist([row], schema=rows.schema)
+
+
 def theirs(cases: Sequence[Case], folder: Path) -> dict[str, list[dict[str, Any]]]:
     """What Flink finds, by the case's name; all cases in one process."""
-    jobs = [_job(case, folder) for case in cases]
+    found = run_in_flink([_job(case, folder) for case in cases], folder)
+    return {name: _sorted(rows) for name, rows in found.items()}
+
+
+def run_in_flink(jobs: Sequence[dict[str, Any]], folder: Path) -> dict[str, list[dict[str, Any]]]:
+    """The rows of each job's result, by the job's name; all jobs in one process."""
     (folder / "jobs.json").write_text(json.dumps(jobs), encoding="utf-8")
     results = folder / "results"
     # Flink's process must not see ViAn's folders: it imports modules by their top-level names.
@@ -57,14 +70,14 @@ def theirs(cases: Sequence[Case], folder: Path) -> dict[str, list[dict[str, Any]
         cwd=folder, env=environment, capture_output=True, text=True, timeout=900,
     )  # fmt: skip
     assert ran.returncode == 0, ran.stdout[-4000:] + ran.stderr[-8000:]
-    found: dict[str, list[dict[str, Any]]] = {case.name: [] for case in cases}
+    found: dict[str, list[dict[str, Any]]] = {job["name"]: [] for job in jobs}
     for file in results.glob("**/part-*"):
         for line in file.read_text(encoding="utf-8").splitlines():
             said = json.loads(line)
             row = json.loads(said["row"])
             row.pop("fired_at_ms", None)
             found[said["name"]].append(row)
-    return {name: _sorted(rows) for name, rows in found.items()}
+    return found
 
 
 def comparable(case: Case, rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -78,9 +91,11 @@ def comparable(case: Case, rows: Sequence[dict[str, Any]]) -> list[dict[str, Any
 
 
 def _job(case: Case, folder: Path) -> dict[str, Any]:
+    # In order of time: what comes too late is left out by both engines, but not by one that is given all rows at once.
+    arriving = case.rows.sort_by("time")
     path = folder / "rows" / case.name
     for event_type in bind(case.rule, case.schemas, site=case.site).types:
-        rows = case.rows.filter(pc.equal(case.rows.column("type"), event_type))
+        rows = arriving.filter(pc.equal(arriving.column("type"), event_type))
         (path / event_type).mkdir(parents=True)
         lines = [f"{line}\n" for line in json_rows(rows)]
         (path / event_type / "rows.json").write_text("".join(lines), encoding="utf-8")

@@ -10,6 +10,7 @@ import pyarrow as pa
 from patterns import FrameSize, Rule, bind
 from patterns.bound import BoundRule
 from patterns.expressions import Call, Column, Const, Expr, Kind, OneOf, walk
+from patterns.ground import Calibration
 from patterns.site import Site
 from tests.patterns.samples import BEGINNING, letter_rule
 
@@ -18,9 +19,9 @@ _STEPS_US = [0, 0, 1, 333, 999, 1_000, 40_000, 40_000, 33_333, 500_000, 1_000_00
 
 
 def site_of(rule: Rule) -> Site:
-    """A site in which each source that the rule has a place in has a frame size."""
+    """A site in which each source that the rule has a normalised place in has a frame size."""
     shapes = (*rule.zones.values(), *rule.lines.values())
-    return Site.of({shape.source: FRAME for shape in shapes})
+    return Site.of({shape.source: FRAME for shape in shapes if shape.units == "normalised"})
 
 
 def random_rows(rule: Rule, schemas: dict[str, pa.Schema], site: Site, seed: int, count: int) -> pa.Table:
@@ -32,13 +33,15 @@ def random_rows(rule: Rule, schemas: dict[str, pa.Schema], site: Site, seed: int
               "type": Kind.STRING}  # fmt: skip
     pools = _pools(bound, kinds, random)
     own = {shape.source for shape in (*rule.zones.values(), *rule.lines.values())} | {name for name, _ in site.versions}
-    sources = [*sorted(own), *sorted(set(pools["source"]) & _named_sources(bound)), "another", "an-other"]
+    is_calibrated = any(isinstance(each[-1].said, Calibration) for each in site.versions.values())
+    # A source of which nothing is known may be asked for its zones, but not for its ground.
+    sources = [*sorted(own), *sorted(_named_sources(bound)), *([] if is_calibrated else ["another", "an-other"])]
     columns: dict[str, list[Any]] = {name: [] for name in kinds}
     us = 0
     sequences: dict[tuple[str, str], int] = {}
     for _ in range(count):
         us += random.choice(_STEPS_US)
-        source = random.choice(sources if random.random() < 0.3 else sources[:-2] or sources)
+        source = random.choice(sources if random.random() < 0.3 else sources[:1])
         event_type = random.choice(sorted(bound.types))
         sequence = sequences[source, event_type] = sequences.get((source, event_type), 0) + 1
         given = {"time": BEGINNING + timedelta(microseconds=us), "sequence": sequence, "source": source,
@@ -139,6 +142,33 @@ def random_rule(seed: int) -> Rule:
     within = random.choice(["", "INTERVAL '3' SECOND", "INTERVAL '40' MILLISECOND", "INTERVAL '0.0005' SECOND"])
     return letter_rule(
         " ".join(parts), ", ".join(defines), measures, skip, within, random.choice(["key", "source, key"])
+    )
+
+
+_TIMED = (
+    "A T", "A B* T", "A B*? T", "Z A B* T", "A T B", "A B? T", "A B* T C", "Z? A T",
+)  # fmt: skip
+_LIMITS = ("INTERVAL '1' MILLISECOND", "INTERVAL '0.000333' SECOND", "INTERVAL '40' MILLISECOND", "INTERVAL '2' SECOND")
+
+
+def random_timer_rule(seed: int) -> Rule:
+    """A rule over the type `letter` that waits for something; Flink may have to refuse it."""
+    random = Random(seed)
+    conditions = {"A": "letter = 'a'", "B": "letter = 'b'", "C": "letter = 'c'", "Z": "letter = 'c'"}
+    pattern = random.choice(_TIMED)
+    used = [name for name in conditions if name in pattern]
+    if random.random() < 0.5:
+        conditions["A"] += " AND A.n > 0"
+    defines = [f"{name} AS {conditions[name]}" for name in used]
+    more = " AND T.time < A.time + INTERVAL '1' SECOND" if random.random() < 0.2 else ""
+    defines.append(f"T AS TIMER(A.time, {random.choice(_LIMITS)}){more}")
+    measures = ["T.time AS due", "A.n AS n", "FIRST(time) AS began"]
+    measures += ["COUNT(B.n) AS many, COUNT(B.*) AS rows_b, COUNT(B.time) AS times"] if "B*" in pattern else []
+    skip = random.choice(["PAST LAST ROW", "PAST LAST ROW", "TO NEXT ROW", "TO LAST A"])
+    skip = "PAST LAST ROW" if skip == "TO LAST A" and pattern.startswith("A") else skip
+    within = random.choice(["", "INTERVAL '3' SECOND", "INTERVAL '1' SECOND"])
+    return letter_rule(
+        pattern, ", ".join(defines), ", ".join(measures), skip, within, random.choice(["key", "source, key"])
     )
 
 

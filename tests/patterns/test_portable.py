@@ -67,7 +67,7 @@ def test_a_rule_that_claims_to_be_portable_and_is_not_fails_its_check() -> None:
     rule = parse_rule(HEAD + "    PATTERN (A | B) DEFINE A AS x > 1)\n")
     errors = [each for each in check(rule, SCHEMAS) if each.severity == "error"]
     assert [str(each).split("\n")[0] for each in errors] == [
-        "<rule>:11:14: error: portable: alternation: " + PORTABLE["alternation"].why
+        "<rule>:11:14: error: portable: alternation: " + PORTABLE["alternation"].why + " [portable]"
     ]
 
 
@@ -76,7 +76,7 @@ def test_a_pattern_that_flink_has_but_takes_otherwise_fails_the_check_too() -> N
     errors = [each for each in check(rule, SCHEMAS) if each.severity == "error"]
     assert [str(each).split("\n")[0] for each in errors] == [
         "<rule>:11:16: error: portable: greedy variable with an open end: "
-        + PORTABLE["greedy variable with an open end"].why + "; here it may fit B and C"
+        + PORTABLE["greedy variable with an open end"].why + "; here it may fit B and C [rule]"
     ]  # fmt: skip
 
 

@@ -8,6 +8,7 @@ from events import load_catalogue
 from patterns import RuleError, bind, check, load_rule, parse_rule, run_tests
 from patterns.expanding import expand
 from patterns.processor import schemas
+from patterns.reference import reference
 from patterns.template import FOLDER, Template, new_rule, templates
 
 SCHEMAS = schemas(load_catalogue())
@@ -66,7 +67,12 @@ zones: {hall: {source: cam-01, polygon: [[0, 0], [1, 0], [1, 1]]}}
 @pytest.mark.parametrize(
     "old,new,place,message",
     [
-        ("loitering", "loitring", "3:11", "template: unknown template 'loitring'; there are: a-then-b, camera-moved"),
+        (
+            "loitering",
+            "loitring",
+            "3:11",
+            "template: unknown template 'loitring'; there are: a-then-b, abandoned-object",
+        ),
         ("loitering", "loitring", "3:11", "did you mean 'loitering'?"),
         ("loitering", "[a]", "3:11", "template: unknown template ['a']"),
         (
@@ -192,3 +198,9 @@ def test_an_error_in_the_filled_in_sql_names_the_template() -> None:
     text = GOOD.replace("shared: [yard]", "shared: [yard]\ntitle: '{nobody}'")
     with pytest.raises(RuleError, match=r"mine\.yaml:6:9: title: unknown name \{nobody\}"):
         bind(parse_rule(text, "mine.yaml"), SCHEMAS)
+
+
+def test_the_reference_is_up_to_date() -> None:
+    page = Path(__file__).parents[2] / "docs" / "reference" / "templates.md"
+    wanted = reference(templates().values())
+    assert page.read_text() == wanted, "Next: python -m patterns.reference > docs/reference/templates.md"
