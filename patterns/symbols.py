@@ -89,7 +89,7 @@ class Symbols:
             if isinstance(node, exp.Query | exp.Exists | exp.Subquery) or node.args.get("query"):
                 self._fail(clause, "a sub-query must not stand here; join its result outside", node, scalar)
             if isinstance(node, exp.Star) and not _is_counted(node):
-                self._fail(clause, "* stands for rows inside COUNT only", node, scalar)
+                self._fail(clause, "* stands in COUNT only", node, scalar)
             if isinstance(node, exp.Window):
                 self._fail(clause, "a window function must not stand here", node, scalar)
             if function_name(node) in unsteady_functions():
@@ -164,9 +164,9 @@ class Symbols:
 
 
 def _is_counted(star: exp.Star) -> bool:
-    """Whether it is that of COUNT(*) or COUNT(v.*)."""
-    around = star.parent.parent if isinstance(star.parent, exp.Column) else star.parent
-    return around is not None and function_name(around) == "COUNT"
+    """Whether it is that of COUNT(*), or of v.*, which whoever reads an aggregate judges."""
+    around = star.parent
+    return isinstance(around, exp.Column) or (around is not None and function_name(around) == "COUNT")
 
 
 def _literal(value: Any) -> exp.Expr:
