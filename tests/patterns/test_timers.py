@@ -241,3 +241,12 @@ def test_a_within_not_longer_than_the_timer_is_warned_of() -> None:
     for within, warned in (("10", True), ("11", False)):
         findings = check(letter_rule("came overdue", define, within=f"INTERVAL '{within}' SECOND"), SCHEMAS)
         assert any("WITHIN is not longer than TIMER" in finding.message for finding in findings) is warned
+
+
+@pytest.mark.parametrize(
+    ("pattern", "warned"), [("came x*? overdue", False), ("x came overdue", True), ("came overdue x", True)]
+)
+def test_a_timer_that_ends_every_partial_match_needs_no_within(pattern: str, warned: bool) -> None:
+    define = HEAD + "TIMER(came.time, INTERVAL '10' SECOND)"
+    findings = check(letter_rule(pattern, define), SCHEMAS)
+    assert any("without WITHIN" in finding.message for finding in findings) is warned
