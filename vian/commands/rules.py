@@ -10,7 +10,8 @@ import typer
 from events import load_catalogue
 from patterns.cases import TestResult, run_tests
 from patterns.errors import RuleError
-from patterns.lint import Finding, check, finding_of
+from patterns.findings import Finding, finding_of
+from patterns.lint import check
 from patterns.loading import load_rule
 from patterns.processor import Processor, schemas
 from patterns.rule import Rule
