@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING
 from events import EventType
 from patterns.bound import BoundRule
 from patterns.errors import MatchError, PatternError
-from patterns.rows import check_envelope, newest_by_source
+from patterns.rows import check_envelope, newest_by_source, with_envelope_encoded
 from patterns.running import Counts, Outcome, Rows, RuleRun, as_table, wall_us
 from patterns.site import Site
 
@@ -205,8 +205,9 @@ class RuleSetRun:
         check_envelope(table)
         if table.num_rows == 0:
             return {}
-        newest = newest_by_source(table)
-        return self._each(lambda run: run.push(table), lambda lane: lane.push(table, newest))
+        encoded = with_envelope_encoded(table) if self._lanes else table
+        newest = newest_by_source(encoded) if self._lanes else []
+        return self._each(lambda run: run.push(table), lambda lane: lane.push(encoded, newest))
 
     def source_ended(self, source: str) -> Outcomes:
         """The source will send no more."""
