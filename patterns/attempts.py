@@ -17,6 +17,7 @@ from patterns.matcher import Machine
 from patterns.registers import Registers, updated
 from patterns.shortfalls import Judge, Shortfall
 from patterns.telling import told_duration
+from patterns.timers import IS_VIRTUAL
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +105,11 @@ class Attempts:
     complete: list[Taken] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        masks = tuple(sum(1 << at for at in each.predicates) for each in self.bound.conditions)
+        # Attempts are made over real rows alone, which a variable with TIMER does not take.
+        masks = tuple(
+            sum(1 << at for at in each.predicates) | (IS_VIRTUAL if each.is_timed else 0)
+            for each in self.bound.conditions
+        )
         self.judge = Judge(self.bound, self.evaluator)
         self.machine: Machine = machine_of(self.bound, self.evaluator.places, masks)
         self.missing = _rows_missing(self.machine)

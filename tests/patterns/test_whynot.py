@@ -251,3 +251,22 @@ def test_a_subject_of_two_sources_is_asked_back() -> None:
     ):
         asked(loitering(), table)
     assert asked(loitering(), table, source="gate").partition == {"source": "gate", "track_id": 7}
+
+
+def test_a_timer_is_told_with_the_time_at_which_it_is_due() -> None:
+    text = """
+rule: overdue
+version: 1
+title: "{track_id}"
+severity: info
+match: |
+  SELECT * FROM track_point MATCH_RECOGNIZE (
+    PARTITION BY source, track_id ORDER BY time
+    PATTERN (came stay* late)
+    DEFINE came AS x > 50, stay AS x > 50, late AS TIMER(came.time, INTERVAL '10' SECOND))
+"""
+    bound = bind(parse_rule(text), SCHEMAS, SIZES)
+    answer = asked(bound, rows([(0, 80), (4, 80), (6, 20), (20, 20)]), 6)
+    assert answer.verdict is Verdict.FELL_SHORT
+    assert "it takes the virtual row of 2026-01-01T10:00:10Z alone" in str(answer)
+    assert asked(bound, rows([(0, 80), (4, 80), (12, 20)]), 6).verdict is Verdict.MATCHED
