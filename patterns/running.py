@@ -151,6 +151,11 @@ class RuleRun:
         """How many rows are not final yet."""
         return sum(table.num_rows for table in self._waiting)
 
+    @property
+    def partial_matches(self) -> int:
+        """How many starts have come to no decision yet."""
+        return sum(len(state.partition.attempts) for state in self._engine.open.values())
+
     def set_frame_size(self, source: str, width: int, height: int) -> None:
         """The source's frames have this size in pixels, from the next step on."""
         self._site.frame_sizes[source] = (width, height)

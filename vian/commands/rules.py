@@ -19,7 +19,15 @@ from patterns.strata import with_situations
 from store import Projector
 from vian import options
 from vian.clock import utc_now
-from vian.commands import rules_backtest, rules_explain, rules_flink, rules_service, rules_why_not, rules_write
+from vian.commands import (
+    rules_backtest,
+    rules_explain,
+    rules_flink,
+    rules_profile,
+    rules_service,
+    rules_why_not,
+    rules_write,
+)
 from vian.errors import WorldFailed, WrongUsage
 from vian.options import opened, settings_for
 from vian.output import Output
@@ -140,5 +148,13 @@ def run(
         raise WorldFailed(f"rules were set aside: {reasons}")
 
 
-for _module in (rules_write, rules_backtest, rules_explain, rules_why_not, rules_service, rules_flink):
+for _module in (
+    rules_write,
+    rules_backtest,
+    rules_explain,
+    rules_why_not,
+    rules_profile,
+    rules_service,
+    rules_flink,
+):
     _module.register(app)
