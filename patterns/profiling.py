@@ -24,7 +24,7 @@ SAMPLES = 20
 PARTS = ("ordering", "predicates", "matcher", "emission")
 """Parts of the engine: rows into columns and their order; row-local conditions; the automaton; what is said."""
 _PART_OF = {
-    "predicates": ("columns", "conditions", "geometry", "places", "ground", "site", "lists", "raster"),
+    "predicates": ("columns", "conditions", "geometry", "places", "ground", "site", "lists", "raster", "records"),
     "matcher": ("engine", "matcher", "guards", "registers", "kernel", "program", "timers"),
     "emission": ("situations", "titles", "emitter", "writing"),
 }
