@@ -31,6 +31,10 @@ def test_rows_without_columns_are_counted_and_given_back() -> None:
     assert (answer.num_columns, answer.num_rows) == (0, 3)
 
 
+def test_an_answer_may_have_two_columns_of_one_name() -> None:
+    assert query(f"SELECT last, last FROM t {PAIR}", {"t": LETTERS}).column_names == ["last", "last"]
+
+
 def test_columns_of_an_input_that_share_a_name_are_told_apart() -> None:
     clause = "MATCH_RECOGNIZE (MEASURES id AS a, id_1 AS b, X_1 AS c PATTERN (A))"
     answer = query(f"SELECT * FROM (t JOIN t AS u ON t.id = u.id) {clause}", {"t": LETTERS})
