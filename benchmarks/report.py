@@ -27,7 +27,10 @@ def main() -> None:
 
 def page() -> str:
     """The page's text."""
-    return "\n".join([_HEAD, *_log(_loaded("log")), *_sustained(_loaded("sustained")), *_growth(_loaded("growth"))])
+    sections = [*_log(_loaded("log")), *_sustained(_loaded("sustained")), *_growth(_loaded("growth"))]
+    if all((RESULTS / f"{name}.json").exists() for name in ("patterns", "flink")):
+        sections += beside_flink(_loaded("patterns"), _loaded("flink"))
+    return "\n".join([_HEAD, *sections])
 
 
 def _loaded(name: str) -> dict[str, Any]:
@@ -78,6 +81,30 @@ def _growth(said: dict[str, Any]) -> Iterator[str]:
             f"| {point['events']:,} | {point['append_us']:.2f} | {point['read_us']:.3f} | {point['memory_mb']:.0f} MB |"
         )
     yield ""
+
+
+def beside_flink(patterns: dict[str, Any], flink: dict[str, Any]) -> Iterator[str]:
+    """The section on rules in process, each beside Flink on the same rows."""
+    yield (
+        f"## Rules beside Flink\n\n`python -m benchmarks.patterns`, {_when(patterns)}; `python -m benchmarks.flink`, "
+        f"{_when(flink)}. Events per CPU-second of the process; Flink warmed up and without the start of its jobs.\n"
+    )
+    yield "| rule | keys | ours | Flink | Flink, reading alone | ratio | target |\n|---|---:|---:|---:|---:|---:|---|"
+    theirs = {(row["what"], row["keys"]): row for row in flink["flink"]}
+    for row in patterns["in_process"]:
+        reference = theirs.get((row["what"], row["keys"]))
+        if reference is None:
+            continue
+        alone = theirs[f"{row['what']}: pass-through", row["keys"]]
+        rates = [each["events_per_cpu_s"] for each in (row, reference, alone)]
+        ratio = rates[0] / rates[1]
+        shown = " | ".join(f"{rate:,.0f}" for rate in rates)
+        target = _target({"ratio": ratio, **_FLINK_TARGET})
+        yield f"| {row['what']} | {row['keys']:,} | {shown} | {ratio:.0f} | {target} |"
+    yield ""
+
+
+_FLINK_TARGET = {"target": 50.0, "at_least": True}
 
 
 def _when(said: dict[str, Any]) -> str:

@@ -40,6 +40,9 @@ class Feed:
 
     def tables(self) -> Iterator[tuple[str, str]]:
         """For each event type without a table its CREATE TABLE."""
+        for number, arm in enumerate(self.bound.inputs):
+            if arm.situation_of is not None:
+                self.refuse("situations as input", self._at(number))
         for name in dict.fromkeys(each.type for each in self.bound.inputs):
             if name not in self.options.source_tables:
                 yield name, self._table(name)
@@ -99,8 +102,6 @@ class Feed:
     def _arm(self, number: int, arm: Input, table: str) -> str:
         """The query for the rows of one arm, over this table."""
         at = self._at(number)
-        if arm.situation_of is not None:
-            self.refuse("situations as input", at)
         place = Place(at, self.refuse, self.shapes)
         events = f"SELECT {', '.join(self._events(arm, at))}\nFROM {quoted(table)}"
         if self._is_alone(arm) and arm.where is None:

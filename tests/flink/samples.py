@@ -5,6 +5,7 @@ from datetime import timedelta
 from random import Random
 from typing import Any
 
+import numpy as np
 import pyarrow as pa
 
 from patterns import FrameSize, Rule, bind
@@ -71,13 +72,13 @@ def _pools(bound: BoundRule, kinds: dict[str, Kind], random: Random) -> dict[str
             if isinstance(part, OneOf):
                 constants[part.operands[0].kind] += sorted(part.values, key=str)[:5]
     numbers = sorted(set(constants[Kind.FLOAT] + [float(each) for each in constants[Kind.INT]])) or [0.0]
-    # Doubles that a float32 holds, as the columns of points do.
+    # Of doubles those that a float32 holds, as the columns of events do.
     places = [round(random.uniform(0, 1000) * 4) / 4 for _ in range(30)] + [100.0, 550.0, 620.0, 500.0]
     pools = {
         Kind.BOOL: [True, False, None],
         Kind.INT: [1, 1, 1, 2, 2, 3, *constants[Kind.INT]],
         Kind.STRING: ["a", "b", "ä'", None, *constants[Kind.STRING], *constants[Kind.STRING]],
-        Kind.FLOAT: [*numbers, *[each + 0.5 for each in numbers], 1.0, 1.0, 1.0, None],
+        Kind.FLOAT: [*(float(np.float32(each + more)) for each in numbers for more in (0, 0.5)), 1.0, 1.0, 1.0, None],
         Kind.TIME: [BEGINNING, BEGINNING + timedelta(seconds=3), None],
         Kind.DURATION: [timedelta(seconds=1), timedelta(milliseconds=1), None],
     }

@@ -1,5 +1,7 @@
 """What a rule becomes in Flink SQL, part by part, and what is refused; no Flink needed."""
 
+import re
+
 import duckdb
 import numpy as np
 import pyarrow as pa
@@ -7,7 +9,7 @@ import pytest
 import shapely
 
 from events import load_catalogue
-from patterns import Line, Rule, RuleError, Zone, bind, load_rules
+from patterns import Line, Rule, RuleError, Zone, bind, load_rules, parse_rule
 from patterns.expressions import Expr
 from patterns.flink import Options, translate
 from patterns.flink.exclusive import exclude_each_other
@@ -15,6 +17,7 @@ from patterns.flink.geometry import crosses_line, in_polygon, of_sources
 from patterns.flink.names import interval, number, quoted, text
 from patterns.geometry import DIRECTIONS, Direction
 from patterns.geometry import crosses_line as ours_crosses_line
+from patterns.ground import Calibration
 from patterns.processor import schemas
 from patterns.site import Site
 from tests.flink.equality import ROOT
@@ -277,3 +280,111 @@ def test_every_shipped_rule_has_a_script() -> None:
     known = schemas(load_catalogue())
     for rule in load_rules(ROOT / "patterns" / "rules"):
         assert translate(rule, known, site=site_of(rule)).text.count("CREATE ") >= 3
+
+
+# Several streams, and time that passes.
+
+
+def test_arms_are_united_column_by_column() -> None:
+    rule = parse_rule("""
+rule: both
+version: 1
+title: both
+severity: info
+match: |
+  SELECT * FROM (
+    SELECT key, n, 'high' AS level FROM letter WHERE n > 7
+    UNION ALL BY NAME
+    SELECT track_id AS key, x AS n FROM track_point
+  ) MATCH_RECOGNIZE (
+    PARTITION BY key ORDER BY time, sequence
+    MEASURES B.level AS level
+    PATTERN (A B) DEFINE A AS A.type = 'track_point', B AS B.n > 1)
+""")
+    said = translate(rule, SCHEMAS).text
+    assert said.count("CREATE TABLE") == 2
+    assert "CAST('high' AS STRING) AS `level`" in said
+    assert "CAST(CAST(NULL AS STRING) AS STRING) AS `level`" in said
+    assert "CAST(CAST(`n` AS DOUBLE) AS DOUBLE) AS `n`" in said
+    assert "WHERE `n` > 7" in said
+    assert "'track_point' AS `type`" in said
+
+
+def test_two_arms_over_one_type_keep_their_order_for_one_event() -> None:
+    rule = letter_rule("A B", "A AS n > 1")
+    arms = "(SELECT key, n FROM letter UNION ALL BY NAME SELECT key, n FROM letter)"
+    said = translate(parse_rule(rule_text(rule).replace("FROM letter", f"FROM {arms}", 1)), SCHEMAS).text
+    assert said.count("CREATE TABLE") == 1
+    assert "ORDER BY `rowtime`, `time`, `stream`, `sequence`, `arm`" in said
+
+
+def rule_text(rule: Rule) -> str:
+    match = "".join(f"  {line}\n" for line in rule.match.splitlines())
+    return f"rule: sample\nversion: 1\ntitle: sample\nseverity: info\nmatch: |\n{match}"
+
+
+def test_a_timer_is_a_second_source_that_comes_later() -> None:
+    rule = letter_rule("A B* T", "A AS letter = 'a', B AS letter = 'b', T AS TIMER(A.time, INTERVAL '2' SECOND)",
+                       "COUNT(B.*) AS many")  # fmt: skip
+    said = translate(rule, SCHEMAS).text
+    assert "CREATE TABLE `letter_in_2000_ms`" in said
+    assert "`rowtime` AS CAST(`time` + INTERVAL '2' SECOND AS TIMESTAMP_LTZ(3))" in said
+    assert "WHERE (`letter` = 'a')" in said
+    assert "PATTERN (`A` `B`* `T`)" in said
+    assert "`T` AS `T`.`timer` = 1 AND (`T`.`stream` = `A`.`stream`) AND (`T`.`sequence` = `A`.`sequence`)" in said
+    assert "COUNT(CASE WHEN `B`.`timer` = 0 THEN `B`.`sequence` END) AS `many`" in said
+    assert "ORDER BY `rowtime`, `time`, `timer`, `stream`, `sequence`" in said
+
+
+def test_what_stands_between_single_rows_is_passed_over() -> None:
+    rule = letter_rule("A T B", "A AS letter = 'a', B AS letter = 'b', T AS TIMER(A.time, INTERVAL '2' SECOND)")
+    assert "PATTERN (`A` `passed_1`* `T` `passed_2`* `B`)" in translate(rule, SCHEMAS).text
+
+
+@pytest.mark.parametrize(
+    "pattern,more,construct",
+    [
+        ("A T", ", T AS TIMER(A.time, INTERVAL '1' SECOND) AND COUNT(*) < 9", "rows beside a TIMER"),
+        ("A B+ T", ", B AS letter = 'b', T AS TIMER(A.time, INTERVAL '1' SECOND)", "counted loop beside a TIMER"),
+        ("Z? A T", ", Z AS letter = 'z', T AS TIMER(A.time, INTERVAL '1' SECOND)",
+         "optional first variable beside a TIMER"),
+        ("A+ T", ", T AS TIMER(A.time, INTERVAL '1' SECOND)", "TIMER from or in a loop"),
+        ("A T S", ", T AS TIMER(A.time, INTERVAL '1' SECOND), S AS TIMER(A.time, INTERVAL '2' SECOND)",
+         "several timers"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_said_beside_a_timer(pattern: str, more: str, construct: str) -> None:
+    with pytest.raises(RuleError, match=f"portable: {construct.replace('?', '.')}: "):
+        translate(letter_rule(pattern, f"A AS letter = 'a'{more}"), SCHEMAS)
+
+
+def test_situations_of_other_rules_are_no_input_in_flink() -> None:
+    rule = letter_rule("A", "A AS A.n > 1")
+    text_ = rule_text(rule).replace("FROM letter", "FROM situation('lower')", 1)
+    known = {**SCHEMAS, "situation('lower')": SCHEMAS["letter"]}
+    with pytest.raises(RuleError, match="portable: situations as input: "):
+        translate(parse_rule(text_), known)
+
+
+def test_a_column_of_a_name_that_the_script_has_is_refused() -> None:
+    rule = letter_rule("A", "A AS A.n > 1")
+    arm = "(SELECT key, n AS stream FROM letter)"
+    with pytest.raises(RuleError, match=r"portable: column of a name of the script's: .*'stream'"):
+        translate(
+            parse_rule(rule_text(rule).replace("FROM letter", f"FROM {arm}", 1).replace("A.n", "A.stream")), SCHEMAS
+        )
+
+
+def test_the_ground_is_arithmetic_with_the_calibration() -> None:
+    rule = letter_rule("A", "A AS ground_x(A.v, A.v) > 3 AND ground_speed(A.v, A.v, A.v, A.v) > 1")
+    calibration = Calibration(((0.1, 0.0, 1.0), (0.0, -0.1, 100.0), (0.0, 0.001, 1.0)), (1000, 1000))
+    site = Site.of({"cam-01": (500, 1000)}, calibrations={"cam-01": calibration})
+    said = translate(rule, SCHEMAS, site=site).text
+    assert "(`v` * 2.0E0)" in said
+    east = re.search(r"WHEN `source` = 'cam-01' THEN CASE WHEN ABS\(`v`\) <= [0-9.E]+ THEN (CASE .*? END) END\n", said)
+    assert east is not None
+    v = np.array([10.0, 250.0, 900.0])
+    ours = calibration.ground(v, v, (500, 1000))[0]
+    assert np.array_equal(_asked(east[1].replace("`", ""), v=v), ours)
+    with pytest.raises(RuleError, match="the log says no calibration of any source"):
+        translate(rule, SCHEMAS)
