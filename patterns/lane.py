@@ -646,6 +646,16 @@ class Lane:
         until = int(k.NEVER) * -1 if watermark_us is None else watermark_us
         return int(k.open_partitions(self.tables, self.state, self.keys.count, until, self._shape.words, at))
 
+    def partial_matches(self, name: str) -> int:
+        """How many partial matches of this rule are open, of all partitions."""
+        at, cells, total = self.place_of(name), self.state.first_cells[: self.keys.count], 0
+        while len(cells := cells[cells >= 0]):
+            rows = self.state.cells[cells]
+            is_open = (rows[:, k.C_RULE] == at) & (rows[:, k.C_FIRST] >= 0)
+            total += int(rows[is_open, k.C_THREADS].sum())
+            cells = rows[:, k.C_NEXT]
+        return total
+
 
 def _reads(packed: Packed) -> dict[str, Kind]:
     """The columns that the filter of FROM reads."""

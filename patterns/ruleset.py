@@ -176,6 +176,15 @@ class RuleSetRun:
             counts, lane.watermark, lane.rows_waiting, lane.partitions_open(name), member.emitter.held_back, spent_s
         )
 
+    def partial_matches(self, name: str) -> int:
+        """How many partial matches of the rule are open, of all partitions; looks at each of them.
+
+        Raises:
+            PatternError: The set has no such rule.
+        """
+        self._check_has(name)
+        return self._alone[name].partial_matches if name in self._alone else self._lane_of[name].partial_matches(name)
+
     # Rows and time.
 
     def set_frame_size(self, source: str, width: int, height: int) -> None:
