@@ -18,8 +18,7 @@ Units = Mapping[str, str]
 
 _NAMED = re.compile(r", (px/s|px|m/s|m)(?=$|[;,(])")
 _COMPARED = (exp.LT, exp.LTE, exp.GT, exp.GTE, exp.EQ, exp.NEQ, exp.Add, exp.Sub)
-_KEPT = (exp.Paren, exp.Neg, exp.Abs, exp.First, exp.Last, exp.Min, exp.Max, exp.Avg, exp.Sum)
-_FIRST_OF = (exp.Least, exp.Greatest, exp.Coalesce)
+_KEPT = frozenset(("PREV", "NEXT", "FIRST", "LAST", "MIN", "MAX", "AVG", "SUM", "ABS", "LEAST", "GREATEST", "COALESCE"))
 _GROUND = {"GROUND_X": "m", "GROUND_Y": "m", "GROUND_SPEED": "m/s"}
 
 
@@ -57,22 +56,23 @@ def unit_of(node: Any, units: Units, params: Mapping[str, Any]) -> str:
         value = params.get(str(node.this or ""))
         return value.base_unit if isinstance(value, Quantity) else ""
     if isinstance(node, exp.Anonymous):
-        name = str(node.this).upper()
-        if name in ("PREV", "NEXT") and node.expressions:
-            return unit_of(node.expressions[0], units, params)
-        return _GROUND.get(name, "")
-    if isinstance(node, _KEPT):
+        return _of_call(str(node.this).upper(), [unit_of(each, units, params) for each in node.expressions])
+    if isinstance(node, exp.Paren | exp.Neg):
         return unit_of(node.this, units, params)
-    if isinstance(node, _FIRST_OF):
-        return next((unit for each in (node.this, *node.expressions) if (unit := unit_of(each, units, params))), "")
-    if isinstance(node, exp.Sqrt):
-        squared = unit_of(node.this, units, params)
-        return squared.removesuffix("²") if squared.endswith("²") else ""
     if isinstance(node, exp.Add | exp.Sub):
         return unit_of(node.this, units, params) or unit_of(node.expression, units, params)
     if isinstance(node, exp.Mul):
         return _product(unit_of(node.this, units, params), unit_of(node.expression, units, params))
     return ""
+
+
+def _of_call(name: str, given: list[str]) -> str:
+    """The unit of what a function gives, from those of its arguments."""
+    if name == "SQRT":
+        return given[0].removesuffix("²") if given and given[0].endswith("²") else ""
+    if name in _KEPT:
+        return next(filter(None, given), "")
+    return _GROUND.get(name, "")
 
 
 def _product(one: str, other: str) -> str:
