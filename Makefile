@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 FLINK := .flink
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test faults flink flink-test lint types contracts wheel-check clean
+.PHONY: help demo test nightly faults flink flink-test lint types contracts wheel-check clean
 
 help:  ## what can be made
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 16
@@ -23,6 +23,10 @@ demo: $(VENV)/installed  ## real video to events, situations, an answer in SQL a
 
 test: $(VENV)/installed  ## the whole test suite on a real PostgreSQL
 	$(BIN)/python -m pytest --numprocesses auto --dist worksteal $(PYTEST_ARGS)
+
+nightly: $(VENV)/installed  ## 100,000 random cases of the laws of patterns
+	VIAN_PATTERN_EXAMPLES=100000 $(BIN)/python -m pytest tests/patterns -k "against or split" --timeout 0 \
+	  --numprocesses auto --dist worksteal $(PYTEST_ARGS)
 
 faults: $(VENV)/installed  ## kills, stops, flipped bits and a full disk under load; FAULTS_ARGS="--rounds 20 --seed 1"
 	$(BIN)/python -m tests.faults.campaign $(FAULTS_ARGS)

@@ -30,6 +30,7 @@ from patterns.expressions import (
     reach,
     rebuilt,
 )
+from patterns.frames import frames_of
 from patterns.geometry import FrameSize
 from patterns.guards import constant_value
 from patterns.inputs import Readable, bind_arms
@@ -38,7 +39,7 @@ from patterns.parser import parse
 from patterns.pattern_variables import pattern_variables
 from patterns.program import ProgramTooLarge, Tables, compile_pattern, tabulate
 from patterns.rule import Rule
-from patterns.scalars import translate
+from patterns.scalars import labelled, translate
 from patterns.scope import Scope
 from patterns.site import Site
 from patterns.syntax import (
@@ -103,13 +104,17 @@ class _Binder:
         self.limits = limits
         self.parts = _Parts()
         self.variables: dict[str, str] = {}
+        self.frames: dict[str, tuple[str, ...]] = {}
         self.readable = Readable({}, {})
         self.arms = bind_arms(query.arms, schemas, rule.rule, query.passage, self.of_event)
         self.readable = self.arms.readable
         shown: dict[str, str] = {}
         for name in pattern_variables(query.clause.pattern):
-            shown.setdefault(name.key, name.name)
+            shown.setdefault(name.key, name.key if name.name in shown.values() else name.name)
         self.variables = shown
+        self.frames = {
+            name: tuple(shown[member] for member in members) for name, members in frames_of(query.clause).items()
+        }
         self.indices = {name: index for index, name in enumerate(shown.values())}
 
     def bound(self, site: Site) -> BoundRule:
@@ -188,8 +193,6 @@ class _Binder:
             raise self.error("a rule needs ORDER BY time", self.clause.at)
 
     def check_rows(self) -> None:
-        if self.clause.subsets:
-            raise self.refusal("SUBSET", self.clause.subsets[0].name.at - len("SUBSET "))
         if self.clause.rows is not RowsPerMatch.ONE:
             message = "ALL ROWS PER MATCH: a situation is one row, so a rule has ONE ROW PER MATCH"
             raise self.error(message, self.clause.rows_at)
@@ -204,6 +207,7 @@ class _Binder:
             columns=self.readable.columns,
             unreadable=self.readable.unreadable,
             variables=self.variables,
+            frames=self.frames,
             own=own,
             has_row=has_row,
             params=self.rule.params,
@@ -215,14 +219,10 @@ class _Binder:
     # Clauses.
 
     def conditions(self) -> tuple[Condition, ...]:
-        defined: dict[str, Expr] = {}
-        for define in self.clause.defines:
-            if define.name.key not in self.variables:
-                raise self.error(f"DEFINE: {define.name.name!r} is not in PATTERN", define.name.at)
-            shown = self.variables[define.name.key]
-            if shown in defined:
-                raise self.error(f"DEFINE: {define.name.name!r} is defined twice", define.name.at)
-            defined[shown] = self.condition_of(define.value, "DEFINE", shown)
+        defined = {
+            (shown := self.variables[define.name.key]): self.condition_of(define.value, "DEFINE", shown)
+            for define in self.clause.defines
+        }
         true = Const(True, Kind.BOOL)
         return tuple(self.taken_apart(defined.get(shown, true)) for shown in self.variables.values())
 
@@ -270,13 +270,7 @@ class _Binder:
 
     def skip_variables(self) -> tuple[int, ...]:
         variable = self.clause.skip.variable
-        if variable is None:
-            return ()
-        if variable.key not in self.variables:
-            have = ", ".join(self.variables.values())
-            raise self.error(f"AFTER MATCH SKIP: unknown pattern variable {variable.name!r}; there are: {have}",
-                             variable.at)  # fmt: skip
-        return (self.indices[self.variables[variable.key]],)
+        return () if variable is None else tuple(sorted(self.indices[name] for name in self.frames[variable.key]))
 
     def title_columns(self, measures: tuple[Output, ...], keys: tuple[str, ...]) -> tuple[Output, ...]:
         """What the title shows beside measures and partition columns: columns of the match's last row."""
@@ -320,11 +314,15 @@ class _Binder:
         variables = None
         if expr.variables is not None:
             variables = tuple(sorted(self.indices[variable] for variable in expr.variables))
-        slot = None if expr.operand is None else self.slot(expr.operand)
+        slots: tuple[int, ...] = ()
+        if expr.operand is not None:
+            slots = tuple(self.slot(labelled(expr.operand, variable)) for variable in self.variables)
+        slot = slots[0] if slots else None
+        slot_of = slots if len(set(slots)) > 1 else None
         if isinstance(expr, Reference):
-            register = Register(variables, expr.which, slot, expr.offset)
+            register = Register(variables, expr.which, slot, expr.offset, slot_of)
         else:
-            register = Register(variables, expr.how, slot)
+            register = Register(variables, expr.how, slot, 0, slot_of)
         registers = self.parts.registers
         return registers.setdefault(register, len(registers))
 

@@ -180,7 +180,7 @@ class Engine:
             if after is None:
                 starts |= able[first]
                 continue
-            goes_on = np.logical_or.reduce([able[variable] for variable in after])
+            goes_on = np.logical_or.reduce([np.zeros_like(starts), *(able[variable] for variable in after)])
             starts |= able[first] & (is_last | np.append(goes_on[1:], False))
         for begin, fresh in zip(grouped.bounds[:-1], grouped.fresh, strict=True) if self._has_tails(grouped) else ():
             starts[begin:fresh] = False

@@ -22,6 +22,7 @@ from patterns.pattern_variables import pattern_variables
 from patterns.portable import refusals
 from patterns.quantities import FACTORS
 from patterns.rule import Rule
+from patterns.strata import with_situations
 from patterns.syntax import Alternation, Concatenation, Exclusion, Pattern, Permutation, Repetition, Variable
 from patterns.text import did_you_mean
 from patterns.tokens import canonical_name
@@ -66,6 +67,10 @@ def lint(rules: Sequence[Rule], schemas: Mapping[str, pa.Schema]) -> list[Findin
     """What is wrong with the rules and what looks wrong, each by itself and beside the others."""
     findings = [*_same_names(rules)]
     bounds = []
+    try:
+        schemas = with_situations(schemas, rules)
+    except RuleError as error:
+        findings.append(finding_of(error))
     for rule in rules:
         found = check(rule, schemas)
         findings += [*found, *_untested(rule)]

@@ -203,9 +203,9 @@ class Matcher:
         """The matches made final because there are no more rows."""
         found = []
         attempts = partition.attempts
-        for attempt in attempts:
-            self._end(attempt, partition)
         while attempts:
+            # One by one, so that each is decided by its own deadline, as it is where time passes it.
+            self._end(attempts[0], partition)
             found += self._resolved(attempts, self.deadline(attempts[0]), None)
         return found
 

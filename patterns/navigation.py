@@ -18,8 +18,6 @@ from patterns.errors import RuleError
 from patterns.text import Passage
 from patterns.tokens import canonical_name
 
-OFFSET_MOST = 100_000
-
 Frame = tuple[str, ...] | None
 """The compared names of the variables whose rows count; None: every row of the match."""
 
@@ -78,6 +76,7 @@ class Names:
         frames: For each variable and each SUBSET the variables that it means, by compared name.
         aggregates: The aggregate functions, in upper case.
         number: The value of an expression that must be a whole number, None if it is none.
+        offset_most: How many rows navigation may go.
     """
 
     passage: Passage
@@ -85,6 +84,7 @@ class Names:
     frames: Mapping[str, tuple[str, ...]]
     aggregates: Collection[str]
     number: Callable[[exp.Expr], int | None]
+    offset_most: int = 100_000
 
 
 def function_name(node: exp.Expr) -> str:
@@ -178,8 +178,9 @@ class Reader:
         if len(node.expressions) == 1:
             return node.expressions[0], default
         offset = self.names.number(node.expressions[1])
-        if offset is None or not 0 <= offset <= OFFSET_MOST:
-            self._fail(f"{name} goes by a whole number of 0 to {OFFSET_MOST} rows, written as a constant", node)
+        most = self.names.offset_most
+        if offset is None or not 0 <= offset <= most:
+            self._fail(f"{name} goes by a whole number of 0 to {most} rows, written as a constant", node)
         return node.expressions[0], offset
 
     # Aggregates.

@@ -10,7 +10,6 @@ from collections.abc import Callable
 from typing import NoReturn, TypeVar
 
 from sqlglot import exp
-from sqlglot.dialects.dialect import Dialect
 from sqlglot.errors import ParseError
 from sqlglot.tokenizer_core import Token, TokenType
 
@@ -51,7 +50,7 @@ def parse_clause(passage: Passage, offset: int) -> tuple[Clause, int]:
     Raises:
         RuleError: Not a MATCH_RECOGNIZE clause.
     """
-    parser = _Parser(passage, ClauseDialect())
+    parser = _Parser(passage)
     while parser.has_word() and parser.offset() < offset:
         parser.index += 1
     clause = parser.clause()
@@ -71,9 +70,9 @@ def parse(passage: Passage) -> Query:
 class _Parser:
     """A cursor over the words, one method for each clause."""
 
-    def __init__(self, passage: Passage, dialect: Dialect | None = None) -> None:
+    def __init__(self, passage: Passage) -> None:
         self.passage = passage
-        self.dialect = dialect or Dialect.get_or_raise(None)
+        self.dialect = ClauseDialect()
         self.words = tokenise(passage, self.dialect, skips_patterns=True)
         self.index = 0
 
@@ -352,8 +351,8 @@ class _Parser:
                     raise self.passage.error(message, word.start) from error
             raise self.passage.error(f"{clause}: {_complaint(error)}", at) from error
         tree = trees[0]
-        if isinstance(tree, exp.Alias) and tree.args.get("alias") is None:  # DuckDB's `name: value`, without a name
-            tree = tree.this
+        if tree is not None:
+            tree = tree.transform(_without_nameless)
         if len(trees) != 1 or not isinstance(tree, exp.Paren | exp.Subquery):
             raise self.passage.error(f"{clause}: not one scalar expression", words[0].start)
         if isinstance(tree.this, exp.Alias):
@@ -423,6 +422,12 @@ class _Parser:
 
     def refuse_at(self, what: str, at: int) -> NoReturn:
         raise self.passage.error(f"{what} is not supported yet", at, NotSupportedYet)
+
+
+def _without_nameless(node: exp.Expr) -> exp.Expr:
+    """The node; for `(:p)`, which sqlglot takes for DuckDB's `name: value` without a name, what it holds."""
+    is_nameless = isinstance(node, exp.Alias) and node.args.get("alias") is None
+    return node.this.transform(_without_nameless) if is_nameless else node
 
 
 def _tokens(words: list[Word]) -> list[Token]:

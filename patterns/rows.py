@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from patterns.columns import arrow_type
@@ -35,12 +34,25 @@ class StreamNumbers:
         """The numbers that were given to these names, in this order."""
         return cls(list(names), {name: number for number, name in enumerate(names)})
 
+    def take(self, names: Sequence[str]) -> None:
+        """Goes on from these numbers, in place."""
+        self.names[:] = names
+        self._numbers.clear()
+        self._numbers.update({name: number for number, name in enumerate(names)})
+
     def numbers(self, batch: pa.Table) -> NDArray[np.int64]:
         """For each row its stream's number."""
-        parts = [batch.column(name).cast(pa.string()) for name in ("station", "source", "type")]
-        names = pc.binary_join_element_wise(*parts, "/").combine_chunks().dictionary_encode()
-        lookup = np.array([self._number(name) for name in names.dictionary.to_pylist()], dtype=np.int64)
-        numbers: NDArray[np.int64] = lookup[names.indices.to_numpy(zero_copy_only=False)]
+        parts = [encoded(batch.column(name)) for name in ("station", "source", "type")]
+        codes = np.zeros(batch.num_rows, dtype=np.int64)
+        for part in parts:
+            if len(part.dictionary) > 1:
+                codes = codes * len(part.dictionary) + part.indices.to_numpy()
+        if all(len(part.dictionary) == 1 for part in parts):
+            return codes + self._number("/".join(part.dictionary[0].as_py() for part in parts))
+        used, codes = _distinct(codes)
+        names = [part.dictionary.to_pylist() for part in parts]
+        lookup = np.array([self._number("/".join(_names_of(code, names))) for code in used.tolist()], dtype=np.int64)
+        numbers: NDArray[np.int64] = lookup[codes]
         return numbers
 
     def ranks(self) -> NDArray[np.int64]:
@@ -55,6 +67,37 @@ class StreamNumbers:
             number = self._numbers[name] = len(self.names)
             self.names.append(name)
         return number
+
+
+def encoded(column: Any) -> Any:
+    """The column as numbers and the texts that they stand for, each once."""
+    if not pa.types.is_dictionary(column.type):
+        column = column.dictionary_encode()
+    column = column.combine_chunks()
+    if isinstance(column, pa.ChunkedArray):
+        column = pa.DictionaryArray.from_arrays(pa.array([], pa.int32()), pa.array([], pa.string()))
+    return column
+
+
+def _distinct(codes: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """The numbers that occur, ascending, and for each row the place of its number among them."""
+    highest = int(codes.max(initial=0))
+    if highest > 1 << 16:
+        used, places = np.unique(codes, return_inverse=True)
+        return used, places
+    used = np.flatnonzero(np.bincount(codes, minlength=1))
+    lookup = np.zeros(highest + 1, dtype=np.int64)
+    lookup[used] = np.arange(len(used))
+    return used, lookup[codes]
+
+
+def _names_of(code: int, names: list[list[str]]) -> list[str]:
+    """The station, source and type that one number for all three stands for."""
+    parts = []
+    for each in reversed(names):
+        code, at = divmod(code, len(each))
+        parts.append(each[at])
+    return parts[::-1]
 
 
 def check_envelope(batch: pa.Table) -> None:
@@ -97,12 +140,18 @@ def in_total_order(rows: pa.Table, streams: StreamNumbers) -> pa.Table:
 
 def newest_by_source(batch: pa.Table) -> list[tuple[str, int]]:
     """For each source its newest time in microseconds."""
-    times = batch.column("time").cast(pa.timestamp("us", batch.column("time").type.tz)).cast(pa.int64())
-    sources = batch.column("source")
-    newest = []
-    for source in sources.unique().to_pylist():
-        newest.append((source, pc.max(times.filter(pc.equal(sources, source))).as_py()))
-    return newest
+    if batch.num_rows == 0:
+        return []
+    times = batch.column("time").cast(pa.timestamp("us", batch.column("time").type.tz)).cast(pa.int64()).to_numpy()
+    sources = encoded(batch.column("source"))
+    if len(sources.dictionary) == 1:
+        return [(sources.dictionary[0].as_py(), int(times.max()))]
+    newest = np.full(len(sources.dictionary), np.iinfo(np.int64).min)
+    numbers = sources.indices.to_numpy()
+    np.maximum.at(newest, numbers, times)
+    is_used = np.bincount(numbers, minlength=len(newest)) > 0
+    named = zip(sources.dictionary.to_pylist(), newest.tolist(), is_used.tolist(), strict=True)
+    return [(source, time) for source, time, used in named if used]
 
 
 def partition_codes(rows: pa.Table, keys: Sequence[str]) -> NDArray[np.int64]:

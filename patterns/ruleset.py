@@ -4,6 +4,9 @@ For each rule a `RuleSetRun` gives what a `RuleRun` of the rule alone gives,
 whatever other rules are in the set, come, go or fail. A rule that raises is
 set aside and named; the others go on.
 
+Rules that read the same rows by the same clock share a lane, where the compiled kernel runs them
+together; a rule that the kernel cannot express has a `RuleRun` of its own.
+
 Rules are known by their names. Outcomes are given for the rules that have
 something to say: a match, a late row, something given up.
 """
@@ -14,12 +17,19 @@ from dataclasses import dataclass
 from datetime import datetime
 from functools import partial
 from time import perf_counter
+from typing import TYPE_CHECKING
 
 from events import EventType
 from patterns.bound import BoundRule
 from patterns.errors import MatchError, PatternError
-from patterns.running import Counts, Outcome, Rows, RuleRun
+from patterns.rows import check_envelope, newest_by_source
+from patterns.running import Counts, Outcome, Rows, RuleRun, as_table, wall_us
 from patterns.site import Site
+
+if TYPE_CHECKING:
+    # Numba takes a third of a second to import: only who runs rules pays that.
+    from patterns.lane import Lane
+    from patterns.packed import Packed
 
 Outcomes = dict[str, Outcome]
 
@@ -45,22 +55,43 @@ class RuleStatus:
     spent_s: float
 
 
-@dataclass(slots=True)
-class _Member:
-    run: RuleRun
-    spent_s: float = 0.0
-
-
 class RuleSetRun:
     """Rules online, together. Not for several threads at once.
 
     The methods that feed a set have the meaning of those of `RuleRun`, for all of its rules.
     """
 
-    def __init__(self, bounds: Iterable[BoundRule] = (), clock: Callable[[], float] = perf_counter) -> None:
+    def __init__(
+        self,
+        bounds: Iterable[BoundRule] = (),
+        clock: Callable[[], float] = perf_counter,
+        *,
+        is_strict: bool = False,
+        uses_kernel: bool | None = None,
+    ) -> None:
+        """A set of these rules.
+
+        Args:
+            bounds: The rules.
+            clock: A clock in seconds, by which the rules' cost is measured.
+            is_strict: Whether a limit that is reached ends a rule, as in batch; else what it costs is
+                forgotten, and said in the outcome.
+            uses_kernel: Whether the rules run on the compiled kernel, where it can express them; None:
+                if it is compiled on this machine, see `patterns.compiling`.
+        """
+        if uses_kernel is None:
+            from patterns.compiling import is_compiled
+
+            uses_kernel = is_compiled()
+        self._uses_kernel = uses_kernel
         self.failures: dict[str, Exception] = {}
         self._clock = clock
-        self._members: dict[str, _Member] = {}
+        self._is_strict = is_strict
+        self._alone: dict[str, RuleRun] = {}
+        self._lanes: list[Lane] = []
+        self._lane_of: dict[str, Lane] = {}
+        self._names: dict[str, None] = {}
+        self._spent_s: dict[str, float] = {}
         self._site = Site()
         for bound in bounds:
             self.add(bound)
@@ -68,12 +99,13 @@ class RuleSetRun:
     @property
     def rules(self) -> tuple[str, ...]:
         """The names of the rules, in the order in which they came; those set aside are not among them."""
-        return tuple(self._members)
+        return tuple(self._names)
 
     @property
     def input_types(self) -> frozenset[str]:
         """The event types that the rules are written over."""
-        return frozenset().union(*(member.run.input_types for member in self._members.values()))
+        alone = (run.input_types for run in self._alone.values())
+        return frozenset().union(*alone, *(lane.types for lane in self._lanes))
 
     # Rules come and go.
 
@@ -92,15 +124,16 @@ class RuleSetRun:
             StateError: The state is not one of this rule.
         """
         name = name or bound.rule.rule
-        if name in self._members:
+        if name in self._names:
             raise PatternError(f"the set has a rule {name} already. Next: remove it, or add this one by another name")
-        run = RuleRun(bound)
-        if state is not None:
-            run.restore(state)
+        packed = self._packed(bound, state)
+        if packed is None:
+            self._add_alone(name, bound, state)
         else:
-            run.know(self._site)
+            self._add_to_lane(name, packed, state)
         self.failures.pop(name, None)
-        self._members[name] = _Member(run)
+        self._names[name] = None
+        self._spent_s[name] = 0.0
 
     def remove(self, name: str) -> None:
         """The rule takes no more part, and what it remembered is forgotten.
@@ -109,8 +142,8 @@ class RuleSetRun:
             PatternError: The set has no such rule.
         """
         if self.failures.pop(name, None) is None:
-            self._member(name)
-            del self._members[name]
+            self._check_has(name)
+            self._drop(name)
 
     def state(self, name: str) -> bytes:
         """All that the rule remembers; `add` goes on from it.
@@ -118,7 +151,12 @@ class RuleSetRun:
         Raises:
             PatternError: The set has no such rule.
         """
-        return self._member(name).run.state()
+        self._check_has(name)
+        if name in self._alone:
+            return self._alone[name].state()
+        from patterns.lane_state import saved_lane
+
+        return saved_lane(self._lane_of[name], name)
 
     def status(self, name: str) -> RuleStatus:
         """How the rule stands.
@@ -126,10 +164,16 @@ class RuleSetRun:
         Raises:
             PatternError: The set has no such rule.
         """
-        member = self._member(name)
-        run = member.run
+        self._check_has(name)
+        spent_s = self._spent_s[name]
+        if name in self._alone:
+            run = self._alone[name]
+            return RuleStatus(run.counts, run.watermark, run.rows_waiting, run.partitions_open, run.held_back, spent_s)
+        lane = self._lane_of[name]
+        member = lane.members[lane.place_of(name)]
+        counts = Counts(lane.counts.rows, lane.counts.late, member.matches)
         return RuleStatus(
-            run.counts, run.watermark, run.rows_waiting, run.partitions_open, run.held_back, member.spent_s
+            counts, lane.watermark, lane.rows_waiting, lane.partitions_open(name), member.emitter.held_back, spent_s
         )
 
     # Rows and time.
@@ -137,58 +181,150 @@ class RuleSetRun:
     def set_frame_size(self, source: str, width: int, height: int) -> None:
         """The source's frames have this size in pixels, from the next step on."""
         self._site.frame_sizes[source] = (width, height)
-        for member in self._members.values():
-            member.run.set_frame_size(source, width, height)
+        for run in self._alone.values():
+            run.set_frame_size(source, width, height)
+        for lane in self._lanes:
+            lane.set_frame_size(source, width, height)
 
     def learn(self, event: EventType, stream: str, sequence: int) -> None:
         """Takes in what an event says of a camera: see `RuleRun.learn`. A rule that cannot use it is set aside."""
         with suppress(MatchError):  # The rules that need it say so themselves.
             self._site.learn(event, stream, sequence)
-        self._each(partial(_learnt, event=event, stream=stream, sequence=sequence))
+        self._each(
+            partial(_learnt, event=event, stream=stream, sequence=sequence),
+            lambda lane: lane.learn(event, stream, sequence),
+        )
 
     def push(self, rows: Rows) -> Outcomes:
-        """Takes rows as they arrive, of any streams and types."""
-        return self._each(lambda run: run.push(rows))
+        """Takes rows as they arrive, of any streams and types.
+
+        Raises:
+            MatchError: The rows do not say when, where and what they are; no rule has seen them.
+        """
+        table = as_table(rows)
+        check_envelope(table)
+        if table.num_rows == 0:
+            return {}
+        newest = newest_by_source(table)
+        return self._each(lambda run: run.push(table), lambda lane: lane.push(table, newest))
 
     def source_ended(self, source: str) -> Outcomes:
         """The source will send no more."""
-        return self._each(lambda run: run.source_ended(source))
+        return self._each(lambda run: run.source_ended(source), lambda lane: lane.source_ended(source))
 
     def settle(self) -> Outcomes:
         """All that was said so far has come, what rules found included."""
-        return self._each(lambda run: run.settle())
+        return self._each(lambda run: run.settle(), lambda lane: {})
 
     def advance_idle(self, now: datetime) -> Outcomes:
         """Looks, by the clock on the wall, for sources that have been silent for the idle time."""
-        return self._each(lambda run: run.advance_idle(now))
+        now_us = wall_us(now)
+        return self._each(lambda run: run.advance_idle(now), lambda lane: lane.advance_idle(now_us))
 
     def finish(self) -> Outcomes:
         """The input has ended: everything is decided. What is pushed after this begins anew."""
-        return self._each(lambda run: run.finish())
+        return self._each(lambda run: run.finish(), lambda lane: lane.finish())
 
-    # Each rule by itself.
+    def compile_rest(self, name: str) -> None:
+        """Runs what the kernel seldom runs, so that it is compiled: see `patterns.compiling`."""
+        self._lane_of[name].compile_rest()
 
-    def _each(self, step: Callable[[RuleRun], Outcome]) -> Outcomes:
+    # Each rule by itself, each lane by itself.
+
+    def _each(self, step: Callable[[RuleRun], Outcome], step_lane: Callable[["Lane"], Outcomes]) -> Outcomes:
         outcomes = {}
-        for name, member in list(self._members.items()):
+        for lane in list(self._lanes):
+            outcomes.update(self._step_of_lane(lane, step_lane))
+        for name, run in list(self._alone.items()):
             began = self._clock()
             try:
-                outcome = step(member.run)
+                outcome = step(run)
             except Exception as error:  # Whatever a rule raises, the others go on; the caller reports it.
-                self.failures[name] = error
-                del self._members[name]
+                self._set_aside(name, error)
                 continue
-            finally:
-                member.spent_s += self._clock() - began
+            self._spent_s[name] += self._clock() - began
             if outcome != _NOTHING:
                 outcomes[name] = outcome
         return outcomes
 
-    def _member(self, name: str) -> _Member:
-        if name not in self._members:
-            have = ", ".join(self._members) or "none"
+    def _step_of_lane(self, lane: "Lane", step: Callable[["Lane"], Outcomes]) -> Outcomes:
+        began = self._clock()
+        try:
+            outcomes = step(lane)
+        except Exception as error:  # What no rule of the lane can be blamed for ends them all.
+            for member in list(lane.members):
+                self._set_aside(member.name, error)
+            return {}
+        share_s = (self._clock() - began) / max(len(lane.members), 1)
+        for member in list(lane.members):
+            self._spent_s[member.name] += share_s
+            if member.failure is not None:
+                self._set_aside(member.name, member.failure)
+        return outcomes
+
+    def _set_aside(self, name: str, error: Exception) -> None:
+        self.failures[name] = error
+        self._drop(name)
+
+    def _drop(self, name: str) -> None:
+        del self._names[name], self._spent_s[name]
+        if name in self._alone:
+            del self._alone[name]
+            return
+        lane = self._lane_of.pop(name)
+        lane.drop(name)
+        if not lane.members:
+            self._lanes.remove(lane)
+
+    def _packed(self, bound: BoundRule, state: bytes | None) -> "Packed | None":
+        """The rule for the kernel; None: it runs alone. A state goes on where it was made."""
+        is_of_kernel = state is not None and state.startswith(KERNEL_STATE)
+        if not is_of_kernel and (state is not None or not self._uses_kernel):
+            return None
+        from patterns.packed import NotPacked, pack
+
+        try:
+            return pack(bound)
+        except NotPacked:
+            return None
+
+    def _add_to_lane(self, name: str, packed: "Packed", state: bytes | None) -> None:
+        from patterns.lane_state import restored
+
+        if state is not None:
+            lane = restored(name, packed, state, self._lanes, is_strict=self._is_strict)
+            if lane not in self._lanes:
+                self._lanes.append(lane)
+        else:
+            lane = self._fresh_lane(packed)
+            lane.join(name, packed)
+        self._lane_of[name] = lane
+
+    def _fresh_lane(self, packed: "Packed") -> "Lane":
+        """A lane of the rule's input that has seen nothing yet."""
+        from patterns.lane import Lane, LaneInput
+
+        input_, site = LaneInput.of(packed), packed.bound.site.copy()
+        site.take(self._site)
+        for lane in self._lanes:
+            if lane.input == input_ and lane.is_fresh and lane.site == site and lane.has_room(packed):
+                return lane
+        lane = Lane(input_, site, is_strict=self._is_strict)
+        self._lanes.append(lane)
+        return lane
+
+    def _add_alone(self, name: str, bound: BoundRule, state: bytes | None) -> None:
+        run = RuleRun(bound)
+        if state is not None:
+            run.restore(state)
+        else:
+            run.know(self._site)
+        self._alone[name] = run
+
+    def _check_has(self, name: str) -> None:
+        if name not in self._names:
+            have = ", ".join(self._names) or "none"
             raise PatternError(f"the set has no rule {name}; there are: {have}")
-        return self._members[name]
 
 
 def merged(parts: Iterable[Mapping[str, Outcome]]) -> Outcomes:
@@ -206,3 +342,5 @@ def _learnt(run: RuleRun, event: EventType, stream: str, sequence: int) -> Outco
 
 
 _NOTHING = Outcome()
+KERNEL_STATE = b"VRS2"
+"""What the state of a rule begins with that ran on the kernel."""

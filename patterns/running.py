@@ -7,7 +7,7 @@ order of the times that decided them, which no way of splitting the rows
 changes; each leaves once.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from typing import Any, TypeAlias
@@ -170,7 +170,7 @@ class RuleRun:
         Raises:
             MatchError: It says no zone, line or calibration, and the rule needs it.
         """
-        if self._needs(event):
+        if needs(self.bound, event, needs_calibration=self._narrator.needs_calibration):
             self._site.learn(event, stream, sequence, self._clock.watermark_us)
 
     def push(self, rows: Rows) -> Outcome:
@@ -179,7 +179,7 @@ class RuleRun:
         Raises:
             MatchError: The rule cannot go on with these rows.
         """
-        table = _as_table(rows)
+        table = as_table(rows)
         check_envelope(table)
         if table.num_rows == 0:
             return Outcome()
@@ -207,7 +207,7 @@ class RuleRun:
 
     def advance_idle(self, now: datetime) -> Outcome:
         """Looks, by the clock on the wall, for sources that have been silent for the idle time."""
-        self._clock.look_for_idle(_wall_us(now))
+        self._clock.look_for_idle(wall_us(now))
         return Outcome(self._advance())
 
     def finish(self) -> Outcome:
@@ -225,7 +225,7 @@ class RuleRun:
         Raises:
             MatchError: The rows are not of the shape that the rule was bound to.
         """
-        table = _as_table(rows)
+        table = as_table(rows)
         check_envelope(table)
         self._take(table)
         self._observe(table)
@@ -267,12 +267,6 @@ class RuleRun:
         self._attach()
         for key, remembered in partitions_from_json(header["partitions"]):
             self._engine.put(key, remembered)
-
-    def _needs(self, event: EventType) -> bool:
-        shared = self.bound.rule.shared
-        if isinstance(event, ZoneDefined | ZoneRemoved):
-            return event.zone in shared
-        return not isinstance(event, CameraCalibrated) or bool(shared) or self._narrator.needs_calibration
 
     # From arrival to release.
 
@@ -341,7 +335,7 @@ class RuleRun:
         """The matches that become situations, in the order in which they were decided."""
         newest_us = self._clock.newest_us()
         matches = []
-        for key, each in sorted(found, key=lambda pair: self._order(pair[1])):
+        for key, each in sorted(found, key=lambda pair: decided_order(pair[1], self._streams.names)):
             made = self._narrator.match(key, each)
             now_us = newest_us if each.decided_us is None else each.decided_us
             if self._emitter.lets_through(made, now_us):
@@ -349,29 +343,39 @@ class RuleRun:
         self.counts.matches += len(matches)
         return tuple(matches)
 
-    def _order(self, found: Found) -> tuple[Any, ...]:
-        """By deciding time, time itself before its rows and timers after; then by the deciding and the first event."""
-        names = self._streams.names
-        stream, sequence, time_us = found.first
-        first = (time_us, names[stream], sequence)
-        if found.decided_us is None:
-            return (1, 0, 0, "", 0, *first)
-        if found.decided_by is None:
-            return (0, found.decided_us, 0, "", 0, *first)
-        if found.decided_by[0] == TIMER_STREAM:
-            return (0, found.decided_us, 2, "", 0, *first)
-        return (0, found.decided_us, 1, names[found.decided_by[0]], found.decided_by[1], *first)
-
     def _refs(self, rows: pa.Table) -> Iterable[EventRef]:
         columns = [rows.column(name).to_pylist() for name in (STREAM, SEQUENCE, TIME)]
         return (event_ref(each, self._streams.names) for each in zip(*columns, strict=True))
 
 
-def _as_table(rows: Rows) -> pa.Table:
+def decided_order(found: Found, names: Sequence[str]) -> tuple[Any, ...]:
+    """By deciding time, time itself before its rows and timers after; then by the deciding and the first event."""
+    stream, sequence, time_us = found.first
+    first = (time_us, names[stream], sequence)
+    if found.decided_us is None:
+        return (1, 0, 0, "", 0, *first)
+    if found.decided_by is None:
+        return (0, found.decided_us, 0, "", 0, *first)
+    if found.decided_by[0] == TIMER_STREAM:
+        return (0, found.decided_us, 2, "", 0, *first)
+    return (0, found.decided_us, 1, names[found.decided_by[0]], found.decided_by[1], *first)
+
+
+def needs(bound: BoundRule, event: EventType, *, needs_calibration: bool) -> bool:
+    """Whether the rule can have use for what the event says of a camera."""
+    shared = bound.rule.shared
+    if isinstance(event, ZoneDefined | ZoneRemoved):
+        return event.zone in shared
+    return not isinstance(event, CameraCalibrated) or bool(shared) or needs_calibration
+
+
+def as_table(rows: Rows) -> pa.Table:
+    """The rows as a table."""
     return pa.Table.from_batches([rows]) if isinstance(rows, pa.RecordBatch) else rows
 
 
-def _wall_us(now: datetime) -> int:
+def wall_us(now: datetime) -> int:
+    """The time as whole microseconds since 1970."""
     value = as_microseconds(now)
     assert isinstance(value, int)
     return value

@@ -7,6 +7,7 @@ the variable, or of the match.
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cached_property
 from typing import Any, NoReturn
 
 from sqlglot import exp
@@ -15,6 +16,7 @@ from patterns.errors import NotSupportedYet, RuleError
 from patterns.expressions import (
     Aggregate,
     Call,
+    Classifier,
     Column,
     Const,
     Crosses,
@@ -25,7 +27,6 @@ from patterns.expressions import (
     OnGround,
     Reference,
     Shift,
-    Which,
     is_constant,
     operands,
     rebuilt,
@@ -35,6 +36,16 @@ from patterns.geometry import DIRECTIONS
 from patterns.ground import GroundValue
 from patterns.guards import constant_value
 from patterns.literals import VARIABLE_UNITS, interval, number
+from patterns.navigation import (
+    NAVIGATION,
+    AggregateReading,
+    MatchNumber,
+    Names,
+    Reader,
+    Reading,
+    RowReading,
+    function_name,
+)
 from patterns.scope import Scope, constant
 from patterns.syntax import Scalar
 from patterns.text import did_you_mean
@@ -43,14 +54,13 @@ from patterns.typing_rules import TypeMismatch, as_float, typed_call
 
 PREV_MOST = 1_000
 
-_BINARY: dict[type[exp.Expression], str] = {
+_BINARY: dict[type[exp.Expr], str] = {
     exp.Add: "+", exp.Sub: "-", exp.Mul: "*", exp.Div: "/", exp.Mod: "%", exp.EQ: "=", exp.NEQ: "<>",
     exp.LT: "<", exp.LTE: "<=", exp.GT: ">", exp.GTE: ">=", exp.And: "and", exp.Or: "or",
 }  # fmt: skip
-_FUNCTIONS: dict[type[exp.Expression], str] = {
-    exp.Abs: "abs", exp.Sqrt: "sqrt", exp.Least: "least", exp.Greatest: "greatest",
-    exp.Coalesce: "coalesce", exp.Neg: "neg", exp.Not: "not",
-}  # fmt: skip
+_UNARY: dict[type[exp.Expr], str] = {exp.Neg: "neg", exp.Not: "not"}
+_FUNCTIONS = ("ABS", "SQRT", "LEAST", "GREATEST", "COALESCE")
+_AGGREGATES = frozenset(("COUNT", "SUM", "MIN", "MAX", "AVG"))
 
 
 def translate(scalar: Scalar, scope: Scope) -> Expr:
@@ -69,21 +79,22 @@ class _Translator:
     def __init__(self, scope: Scope, at: int) -> None:
         self.scope = scope
         self.at = at
+        self.is_at_row = False
 
-    def expr(self, node: exp.Expression) -> Expr:
+    def expr(self, node: exp.Expr) -> Expr:
         handler = _HANDLERS.get(type(node))
         if handler is not None:
             return handler(self, node)
         if type(node) in _BINARY:
             return self.call(_BINARY[type(node)], node, (node.this, node.expression))
-        if type(node) in _FUNCTIONS:
-            return self.call(_FUNCTIONS[type(node)], node, (node.this, *node.expressions))
+        if type(node) in _UNARY:
+            return self.call(_UNARY[type(node)], node, (node.this,))
         raise self.refusal(_named(node), node)
 
-    def call(self, op: str, node: exp.Expression, parts: tuple[exp.Expression, ...]) -> Expr:
+    def call(self, op: str, node: exp.Expr, parts: tuple[exp.Expr, ...]) -> Expr:
         return self.typed(op, node, tuple(self.expr(part) for part in parts))
 
-    def typed(self, op: str, node: exp.Expression, operands: tuple[Expr, ...]) -> Expr:
+    def typed(self, op: str, node: exp.Expr, operands: tuple[Expr, ...]) -> Expr:
         try:
             return typed_call(op, operands)
         except TypeMismatch as error:
@@ -91,20 +102,15 @@ class _Translator:
 
     # Names.
 
-    def column(self, node: exp.Expression) -> Expr:
-        if isinstance(node.this, exp.Star):
-            self.fail("v.* stands in COUNT only", node)
+    def column(self, node: exp.Expr) -> Expr:
         if node.args.get("db") or node.args.get("catalog"):
             self.refuse("a column name of more than two parts", node)
-        variable = self.variable(node)
-        column = self.bare_column(node.this)
-        if variable is None:
-            return column if self.scope.has_row else Reference(None, "last", column)
-        if variable == self.scope.own:
-            return column
-        return Reference((variable,), "last", column)
+        self.check_variable(node)
+        if self.is_at_row or not self.scope.has_match:
+            return self.bare_column(node.this)
+        return self.of_row(self.reader.reading(node), node)
 
-    def bare_column(self, identifier: exp.Expression) -> Column:
+    def bare_column(self, identifier: exp.Expr) -> Column:
         name = identifier.name if identifier.args.get("quoted") else identifier.name.lower()
         kind = self.scope.columns.get(name)
         if kind is not None:
@@ -115,18 +121,15 @@ class _Translator:
         have = ", ".join(sorted(self.scope.columns))
         raise self.error(f"unknown column {identifier.name!r}; there are: {have}", identifier)
 
-    def variable(self, node: exp.Expression) -> str | None:
-        """The shown name of the variable before the dot."""
+    def check_variable(self, node: exp.Expr) -> None:
+        """Checks that what stands before the dot, if anything does, is a variable."""
         table = node.args.get("table")
-        if table is None:
-            return None
-        key = canonical_name(table.name, bool(table.args.get("quoted")))
-        if key not in self.scope.variables:
-            have = ", ".join(self.scope.variables.values()) or "none here"
-            self.fail(f"unknown pattern variable {table.name!r}; there are: {have}", table)
-        return self.scope.variables[key]
+        if table is None or canonical_name(table.name, bool(table.args.get("quoted"))) in self.scope.frames:
+            return
+        have = ", ".join(self.scope.frames) or "none here"
+        self.fail(f"unknown pattern variable {table.name!r}; there are: {have}", table)
 
-    def placeholder(self, node: exp.Expression) -> Expr:
+    def placeholder(self, node: exp.Expr) -> Expr:
         name = str(node.this or "")
         if name not in self.scope.params:
             have = ", ".join(sorted(self.scope.params)) or "none"
@@ -142,84 +145,96 @@ class _Translator:
         found = self.scope.passage.text.find(f":{name}", self.at)
         return found if found >= 0 else self.at
 
-    # Navigation and counting.
+    # What is read of the match.
 
-    def prev(self, node: exp.Expression) -> Expr:
-        rows = 1
-        if self.scope.clause == "WHERE":
-            self.fail("PREV has no meaning in WHERE", node)
-        if len(node.expressions) not in (1, 2):
-            self.fail("PREV takes a column and, if wanted, a number of rows", node)
-        if len(node.expressions) == 2:
-            rows = self.whole_number(node.expressions[1])
-        inner = self.framed(node, self.expr(node.expressions[0]))
-        if isinstance(inner, Reference):
-            return replace(inner, operand=Shift(inner.operand, rows))
-        return Shift(inner, rows)
+    @cached_property
+    def reader(self) -> Reader:
+        scope = self.scope
+        names = Names(scope.passage, scope.clause, scope.frames, _AGGREGATES, self.whole_number, PREV_MOST)
+        return Reader(names, self.at)
 
-    def whole_number(self, node: exp.Expression) -> int:
-        value = self.expr(node)
-        if not isinstance(value, Const) or value.kind is not Kind.INT or not 0 <= int(value.value or 0) <= PREV_MOST:
-            self.fail(f"PREV goes back by a whole number of 0 to {PREV_MOST} rows", node)
-        return int(value.value or 0)
+    def whole_number(self, node: exp.Expr) -> int | None:
+        value = constant_value(expr) if is_constant(expr := self.expr(node)) else None
+        return value if type(value) is int and expr.kind is Kind.INT else None
 
-    def framed(self, node: exp.Expression, expr: Expr) -> Expr:
-        """The expression as one over a single row: row-local, or one reference around it all."""
-        frames = {(part.variables, part.which) for part in walk(expr) if isinstance(part, Reference)}
-        if any(isinstance(part, Aggregate) for part in walk(expr)):
-            self.refuse(f"COUNT inside {_named(node)}", node)
-        if is_constant(expr):
-            self.fail(f"{_named(node)} needs a column", node)
-        if not frames:
-            return expr
-        if len(frames) > 1 or _has_free_column(expr):
-            self.fail(f"{_named(node)} must read columns of one variable", node)
-        variables, which = frames.pop()
-        return Reference(variables, which, _without_references(expr))
+    def of_match(self, node: exp.Expr) -> Expr:
+        """What a navigation function, CLASSIFIER, MATCH_NUMBER or an aggregate gives."""
+        if not self.scope.has_match:
+            self.fail(f"{_named(node)} has no meaning in {self.scope.clause}", node)
+        if self.is_at_row and function_name(node) == "CLASSIFIER":
+            return Classifier()
+        reading = self.reader.reading(node)
+        if isinstance(reading, AggregateReading):
+            return self.aggregate(reading, node)
+        if isinstance(reading, MatchNumber):
+            self.fail("MATCH_NUMBER counts the matches of a partition for good, and a rule forgets; a situation has "
+                      "an identity of its own", node)  # fmt: skip
+        return self.of_row(reading, node)
 
-    def first(self, node: exp.Expression) -> Expr:
-        return self.navigation(node, "first")
-
-    def last(self, node: exp.Expression) -> Expr:
-        return self.navigation(node, "last")
-
-    def navigation(self, node: exp.Expression, which: Which) -> Expr:
-        name = which.upper()
-        if node.args.get("expression") or node.args.get("expressions"):
-            self.refuse(f"{name} with an offset", node)
-        if self.scope.clause == "WHERE":
-            self.fail(f"{name} has no meaning in WHERE", node)
-        for part in node.this.walk():
-            if isinstance(part, exp.First | exp.Last | exp.Count) or _is_prev(part):
-                self.refuse(f"{_named(part)} inside {name}", part)
-        operand = self.framed(node, self.expr(node.this))
-        if isinstance(operand, Reference):
-            return replace(operand, which=which)
-        qualified = {self.variable(column) for column in node.this.find_all(exp.Column)}
-        if len(qualified) > 1:
-            self.fail(f"{name} must read columns of one variable", node)
-        if which == "last":
+    def of_row(self, reading: Reading | None, node: exp.Expr) -> Expr:
+        assert isinstance(reading, RowReading), "neither an aggregate nor the match's number"
+        if reading.shift > 0:
+            self.fail("NEXT looks at a row that has not come yet when a rule is decided; write the row that follows "
+                      "as a variable of its own", node)  # fmt: skip
+        operand = self.at_row(reading.operand)
+        if any(isinstance(part, Classifier) for part in walk(operand)):
+            return self.classified(reading, operand, node)
+        if reading.shift:
+            operand = Shift(operand, -reading.shift)
+        if self.is_current(reading):
             return operand
-        variable = qualified.pop()
-        return Reference(None if variable is None else (variable,), "first", operand)
+        return Reference(reading.frame, reading.which, operand, reading.offset)
 
-    def count(self, node: exp.Expression) -> Expr:
-        counted = node.this
-        if self.scope.clause == "WHERE":
-            self.fail("COUNT has no meaning in WHERE", node)
-        if isinstance(counted, exp.Star) and not node.expressions:
-            return Aggregate(None, "rows", None, Kind.INT)
-        if not isinstance(counted, exp.Column) or node.expressions:
-            self.refuse("COUNT of anything but *, v.* or v.column", node)
-        variable = self.variable(counted)
-        variables = None if variable is None else (variable,)
-        if isinstance(counted.this, exp.Star):
-            return Aggregate(variables, "rows", None, Kind.INT)
-        return Aggregate(variables, "values", self.bare_column(counted.this), Kind.INT)
+    def is_current(self, reading: RowReading) -> bool:
+        """Whether it reads the row at hand: the last one of its variables is that."""
+        is_last = reading.which == "last" and reading.offset == 0
+        return self.scope.has_row and is_last and (reading.frame is None or self.scope.own in reading.frame)
+
+    def classified(self, reading: RowReading, operand: Expr, node: exp.Expr) -> Expr:
+        if reading.shift and (reading.frame is not None or reading.which == "first"):
+            self.fail("CLASSIFIER stands in PREV of the match's rows only, as in PREV(CLASSIFIER())", node)
+        if reading.shift == 0 and self.is_current(reading):
+            return labelled(
+                operand, next(key for key, shown in self.scope.variables.items() if shown == self.scope.own)
+            )
+        # The rows of a match follow each other: n rows back from its last is its last but n.
+        return Reference(reading.frame, reading.which, operand, reading.offset - reading.shift)
+
+    def at_row(self, operand: exp.Expr) -> Expr:
+        """The operand over the columns of one row, whichever that is."""
+        within = _Translator(self.scope, self.at)
+        within.is_at_row = True
+        return within.expr(operand)
+
+    def aggregate(self, reading: AggregateReading, node: exp.Expr) -> Expr:
+        call = reading.call
+        name, arguments = function_name(call), call.expressions
+        if not isinstance(call, exp.Anonymous) or any(isinstance(each, exp.Distinct | exp.Order) for each in arguments):
+            self.refuse("an aggregate with DISTINCT, FILTER or ORDER BY", node)
+        is_star = bool(arguments) and (isinstance(arguments[0], exp.Star) or isinstance(arguments[0].this, exp.Star))
+        if name == "COUNT" and len(arguments) < 2 and (not arguments or is_star):
+            return Aggregate(reading.frame, "rows", None, Kind.INT)
+        if len(arguments) != 1:
+            self.fail(f"{name} takes one value, got {len(arguments)}", node)
+        operand = self.at_row(arguments[0])
+        values = Aggregate(reading.frame, "values", operand, Kind.INT)
+        if name == "COUNT":
+            return values
+        kinds = (Kind.INT, Kind.FLOAT, Kind.DURATION, *((Kind.TIME, Kind.STRING) if name in ("MIN", "MAX") else ()))
+        if operand.kind not in kinds:
+            wanted = ", ".join(kind.value for kind in kinds)
+            self.fail(f"{name} takes a value of type {wanted}, got {operand.kind.value}", node)
+        if name in ("MIN", "MAX"):
+            return Aggregate(reading.frame, "min" if name == "MIN" else "max", operand, operand.kind)
+        total = Aggregate(reading.frame, "sum", operand, operand.kind)
+        if name == "SUM":
+            return total
+        is_number = operand.kind is not Kind.DURATION
+        return self.typed("/", node, (as_float(total), as_float(values)) if is_number else (total, values))
 
     # Literals.
 
-    def literal(self, node: exp.Expression) -> Expr:
+    def literal(self, node: exp.Expr) -> Expr:
         if node.args.get("is_string"):
             return Const(str(node.this), Kind.STRING)
         try:
@@ -227,13 +242,13 @@ class _Translator:
         except TypeMismatch as error:
             raise self.error(str(error), node) from error
 
-    def boolean(self, node: exp.Expression) -> Expr:
+    def boolean(self, node: exp.Expr) -> Expr:
         return Const(bool(node.this), Kind.BOOL)
 
-    def null(self, node: exp.Expression) -> Expr:
+    def null(self, node: exp.Expr) -> Expr:
         return Const(None, Kind.NULL)
 
-    def interval(self, node: exp.Expression) -> Expr:
+    def interval(self, node: exp.Expr) -> Expr:
         unit = node.args.get("unit")
         if not isinstance(unit, exp.Var) or not isinstance(node.this, exp.Literal):
             self.refuse("an INTERVAL other than of one number and one unit", node)
@@ -247,17 +262,17 @@ class _Translator:
 
     # Forms that are other forms in disguise.
 
-    def paren(self, node: exp.Expression) -> Expr:
+    def paren(self, node: exp.Expr) -> Expr:
         return self.expr(node.this)
 
-    def between(self, node: exp.Expression) -> Expr:
+    def between(self, node: exp.Expr) -> Expr:
         if node.args.get("symmetric"):
             self.refuse("BETWEEN SYMMETRIC", node)
         value, low, high = (self.expr(part) for part in (node.this, node.args["low"], node.args["high"]))
         bounds = self.typed(">=", node, (value, low)), self.typed("<=", node, (value, high))
         return self.typed("and", node, bounds)
 
-    def member(self, node: exp.Expression) -> Expr:
+    def member(self, node: exp.Expr) -> Expr:
         field = node.args.get("field")
         if isinstance(field, exp.Placeholder):
             return self.one_of(node, field)
@@ -273,10 +288,10 @@ class _Translator:
             result = self.typed("or", node, (result, equal))
         return result
 
-    def is_list(self, node: exp.Expression) -> bool:
+    def is_list(self, node: exp.Expr) -> bool:
         return isinstance(self.scope.params.get(str(node.this or "")), tuple)
 
-    def one_of(self, node: exp.Expression, listed: exp.Expression) -> Expr:
+    def one_of(self, node: exp.Expr, listed: exp.Expr) -> Expr:
         """`value IN :list`."""
         name = str(listed.this or "")
         if name in self.scope.params and not self.is_list(listed):
@@ -295,12 +310,12 @@ class _Translator:
             raise self.scope.passage.error(message, self.param_offset(name))
         return OneOf(frozenset(item.value for item in items if item.value is not None), (value,))
 
-    def is_null(self, node: exp.Expression) -> Expr:
+    def is_null(self, node: exp.Expr) -> Expr:
         if not isinstance(node.expression, exp.Null):
             self.refuse("IS with anything but NULL", node)
         return self.call("is_null", node, (node.this,))
 
-    def case(self, node: exp.Expression) -> Expr:
+    def case(self, node: exp.Expr) -> Expr:
         subject = node.this
         parts: list[Expr] = []
         for branch in node.args["ifs"]:
@@ -314,10 +329,12 @@ class _Translator:
 
     # Zones, lines, and names that sqlglot does not know.
 
-    def anonymous(self, node: exp.Expression) -> Expr:
+    def anonymous(self, node: exp.Expr) -> Expr:
         name = str(node.this).upper()
-        if name == "PREV":
-            return self.prev(node)
+        if name in NAVIGATION or name in _AGGREGATES:
+            return self.of_match(node)
+        if name in _FUNCTIONS:
+            return self.call(name.lower(), node, tuple(node.expressions))
         if name == "IN_ZONE":
             return self.in_zone(node)
         if name == "CROSSES":
@@ -326,11 +343,9 @@ class _Translator:
             return self.on_ground(node, name)
         if name == "TIMER":
             return self.timer(node)
-        if name in _NOT_YET:
-            self.refuse(name, node)
         raise self.error(f"unknown function {node.this}; there are: {_FUNCTIONS_SHOWN}", node)
 
-    def timer(self, node: exp.Expression) -> Expr:
+    def timer(self, node: exp.Expr) -> Expr:
         """Whether the row at hand is the virtual row that is due so long after the variable's last row."""
         if self.scope.clause != "DEFINE":
             self.fail("TIMER has a meaning in DEFINE only", node)
@@ -354,12 +369,12 @@ class _Translator:
         due = replace(since, operand=self.typed("+", node, (since.operand, length)))
         return Call("timer", (Column("time", Kind.TIME), due), Kind.BOOL)
 
-    def in_zone(self, node: exp.Expression) -> Expr:
+    def in_zone(self, node: exp.Expr) -> Expr:
         x, y, zone = self.arguments(node, "in_zone(x, y, 'zone')", 2, 1)
         name = self.name_in(zone, "zone", self.scope.zones)
         return InZone(name, self.with_source((self.number(x), self.number(y))))
 
-    def crosses(self, node: exp.Expression) -> Expr:
+    def crosses(self, node: exp.Expr) -> Expr:
         arguments = self.arguments(node, "crosses(x0, y0, x1, y1, 'line', 'direction')", 4, 2)
         line = self.name_in(arguments[4], "line", self.scope.lines)
         direction = arguments[5].this
@@ -367,7 +382,7 @@ class _Translator:
             self.fail(f"unknown direction {direction!r}; there are: {', '.join(DIRECTIONS)}", arguments[5])
         return Crosses(line, direction, self.with_source(tuple(self.number(part) for part in arguments[:4])))
 
-    def on_ground(self, node: exp.Expression, name: str) -> Expr:
+    def on_ground(self, node: exp.Expr, name: str) -> Expr:
         what, numbers, form = _GROUND[name]
         arguments = self.arguments(node, form, numbers, 0)
         return OnGround(what, self.with_source(tuple(self.number(part) for part in arguments)))
@@ -376,13 +391,15 @@ class _Translator:
         """The coordinates after the source of their row, or of the row at hand where they are of several."""
         source = Column("source", Kind.STRING)
         parts = [part for coordinate in coordinates for part in walk(coordinate)]
-        frames = {(part.variables, part.which) for part in parts if isinstance(part, Reference)}
+        frames = {(part.variables, part.which, part.offset) for part in parts if isinstance(part, Reference)}
         if len(frames) == 1 and not any(_has_free_column(coordinate) for coordinate in coordinates):
-            return (Reference(*frames.pop(), source), *coordinates)
-        return (source if self.scope.has_row else Reference(None, "last", source), *coordinates)
+            variables, which, offset = frames.pop()
+            return (Reference(variables, which, source, offset), *coordinates)
+        is_row = self.scope.has_row or self.is_at_row
+        return (source if is_row else Reference(None, "last", source), *coordinates)
 
-    def arguments(self, node: exp.Expression, form: str, numbers: int, names: int) -> list[exp.Expression]:
-        arguments: list[exp.Expression] = node.expressions
+    def arguments(self, node: exp.Expr, form: str, numbers: int, names: int) -> list[exp.Expr]:
+        arguments: list[exp.Expr] = node.expressions
         if len(arguments) != numbers + names:
             self.fail(f"wanted {form}, got {len(arguments)} arguments", node)
         for argument in arguments[numbers:]:
@@ -390,7 +407,7 @@ class _Translator:
                 self.fail(f"wanted {form}, with names in single quotes", argument)
         return arguments
 
-    def name_in(self, node: exp.Expression, what: str, names: frozenset[str]) -> str:
+    def name_in(self, node: exp.Expr, what: str, names: frozenset[str]) -> str:
         name = str(node.this)
         if name not in names and name not in self.scope.shared:
             have = ", ".join(sorted(names)) or "none"
@@ -399,7 +416,7 @@ class _Translator:
             self.fail(f"unknown {what} {name!r}; {what}s has: {have}{shared}{like}", node)
         return name
 
-    def number(self, node: exp.Expression) -> Expr:
+    def number(self, node: exp.Expr) -> Expr:
         value = self.expr(node)
         if value.kind not in (Kind.INT, Kind.FLOAT, Kind.NULL):
             self.fail(f"a coordinate is a number, got {value.kind.value}", node)
@@ -407,20 +424,20 @@ class _Translator:
 
     # Errors.
 
-    def refuse(self, what: str, node: exp.Expression) -> NoReturn:
+    def refuse(self, what: str, node: exp.Expr) -> NoReturn:
         raise self.refusal(what, node)
 
-    def refusal(self, what: str, node: exp.Expression) -> RuleError:
+    def refusal(self, what: str, node: exp.Expr) -> RuleError:
         message = f"{self.scope.clause}: {what} is not supported yet"
         return self.scope.passage.error(message, self.offset(node), NotSupportedYet)
 
-    def fail(self, message: str, node: exp.Expression) -> NoReturn:
+    def fail(self, message: str, node: exp.Expr) -> NoReturn:
         raise self.error(message, node)
 
-    def error(self, message: str, node: exp.Expression) -> RuleError:
+    def error(self, message: str, node: exp.Expr) -> RuleError:
         return self.scope.passage.error(f"{self.scope.clause}: {message}", self.offset(node))
 
-    def offset(self, node: exp.Expression) -> int:
+    def offset(self, node: exp.Expr) -> int:
         """Where the node, or the first part of it that knows its place, stands."""
         if isinstance(node, exp.Query | exp.Exists):
             word = "EXISTS" if isinstance(node, exp.Exists) else "SELECT"
@@ -437,17 +454,14 @@ def _has_free_column(expr: Expr) -> bool:
     return any(_has_free_column(operand) for operand in operands(expr))
 
 
-def _without_references(expr: Expr) -> Expr:
-    if isinstance(expr, Reference):
-        return expr.operand
-    return rebuilt(expr, _without_references)
+def labelled(operand: Expr, variable: str) -> Expr:
+    """The operand at a row of this variable."""
+    if isinstance(operand, Classifier):
+        return Const(variable, Kind.STRING)
+    return rebuilt(operand, lambda part: labelled(part, variable))
 
 
-def _is_prev(node: exp.Expression) -> bool:
-    return isinstance(node, exp.Anonymous) and str(node.this).upper() in ("PREV", "NEXT")
-
-
-def _named(node: exp.Expression) -> str:
+def _named(node: exp.Expr) -> str:
     """What to call the node in an error."""
     if isinstance(node, exp.Anonymous):
         return str(node.this).upper()
@@ -458,17 +472,16 @@ def _named(node: exp.Expression) -> str:
     return f"{type(node).__name__} ({node.sql()[:40]})"
 
 
-_NOT_YET = frozenset(("NEXT", "CLASSIFIER", "MATCH_NUMBER", "RUNNING", "FINAL", "PERMUTE", "CURRENT_TIMESTAMP", "NOW"))
 _GROUND: dict[str, tuple[GroundValue, int, str]] = {
     "GROUND_X": ("x", 2, "ground_x(x, y)"),
     "GROUND_Y": ("y", 2, "ground_y(x, y)"),
     "GROUND_SPEED": ("speed", 4, "ground_speed(x, y, vx, vy)"),
 }
 _FUNCTIONS_SHOWN = (
-    "PREV, FIRST, LAST, COUNT, ABS, SQRT, LEAST, GREATEST, COALESCE, TIMER, in_zone, crosses, "
-    "ground_x, ground_y, ground_speed"
+    "FIRST, LAST, PREV, CLASSIFIER, COUNT, SUM, MIN, MAX, AVG, ABS, SQRT, LEAST, GREATEST, COALESCE, TIMER, "
+    "in_zone, crosses, ground_x, ground_y, ground_speed"
 )
-_HANDLERS: dict[type[exp.Expression], Callable[[_Translator, Any], Expr]] = {
+_HANDLERS: dict[type[exp.Expr], Callable[[_Translator, Any], Expr]] = {
     exp.Column: _Translator.column,
     exp.Placeholder: _Translator.placeholder,
     exp.Literal: _Translator.literal,
@@ -480,8 +493,6 @@ _HANDLERS: dict[type[exp.Expression], Callable[[_Translator, Any], Expr]] = {
     exp.In: _Translator.member,
     exp.Is: _Translator.is_null,
     exp.Case: _Translator.case,
-    exp.First: _Translator.first,
-    exp.Last: _Translator.last,
-    exp.Count: _Translator.count,
+    exp.Filter: _Translator.of_match,
     exp.Anonymous: _Translator.anonymous,
 }

@@ -21,6 +21,7 @@ class Scope:
         columns: The event type's columns that the language can read.
         unreadable: Its other columns, and the Arrow type that keeps them from being read.
         variables: Pattern variables: compared name to shown name.
+        frames: For each variable and each SUBSET the shown names of the variables that it means.
         own: The variable that DEFINE is defining.
         has_row: Whether there is a row at hand (DEFINE, WHERE) or a finished match (MEASURES).
         params: The rule's parameters.
@@ -34,12 +35,18 @@ class Scope:
     columns: Mapping[str, Kind]
     unreadable: Mapping[str, str]
     variables: Mapping[str, str]
+    frames: Mapping[str, tuple[str, ...]]
     own: str | None
     has_row: bool
     params: Mapping[str, Any]
     zones: frozenset[str]
     lines: frozenset[str]
     shared: frozenset[str]
+
+    @property
+    def has_match(self) -> bool:
+        """Whether there is a match to look at."""
+        return self.clause in ("DEFINE", "MEASURES")
 
 
 def constant(value: Any) -> Const:

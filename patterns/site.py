@@ -154,8 +154,9 @@ class Site:
 
     def _add(self, key: tuple[str, str], version: Version) -> None:
         versions = self.versions.setdefault(key, [])
-        known = [each for each in versions if (each.stream, each.sequence) != (version.stream, version.sequence)]
-        self.versions[key] = [*known, version][-VERSIONS_MOST:]
+        if any((each.stream, each.sequence) == (version.stream, version.sequence) for each in versions):
+            return  # It was known before its turn, and has held since then.
+        self.versions[key] = [*versions, version][-VERSIONS_MOST:]
 
 
 def shape_of(event: ZoneDefined, stream: str, sequence: int) -> Shape:

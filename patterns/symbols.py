@@ -13,7 +13,7 @@ from sqlglot import exp
 
 from patterns.duck import Duck, aggregates, first_line, sql_of, unsteady_functions
 from patterns.durations import microseconds
-from patterns.errors import RuleError
+from patterns.frames import frames_of
 from patterns.navigation import Names, Reader, column_parts, function_name, identifier_key, offset_of
 from patterns.pattern_variables import pattern_variables
 from patterns.syntax import Clause, Identifier, Scalar
@@ -48,9 +48,9 @@ class Symbols:
         Raises:
             RuleError: A SUBSET, DEFINE or SKIP TO names a variable that is not there, or one twice.
         """
-        variables = tuple(dict.fromkeys(name.key for name in pattern_variables(clause.pattern)))
         columns = {name.lower(): name for name in types}
-        frames = _frames(clause, variables)
+        frames = frames_of(clause)
+        variables = tuple(dict.fromkeys(name.key for name in pattern_variables(clause.pattern)))
         return cls(clause, duck, columns, types, variables, frames, params)
 
     def index(self, variable: str) -> int:
@@ -159,34 +159,6 @@ class Symbols:
 
     def _fail(self, clause: str, message: str, node: exp.Expr, scalar: Scalar) -> NoReturn:
         raise self.clause.passage.error(f"{clause}: {message}", offset_of(node, scalar.at))
-
-
-def _frames(clause: Clause, variables: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
-    frames: dict[str, tuple[str, ...]] = {variable: (variable,) for variable in variables}
-    for subset in clause.subsets:
-        if subset.name.key in frames:
-            raise _error(clause, f"SUBSET: {subset.name.name!r} is a pattern variable or SUBSET already", subset.name)
-        for member in subset.members:
-            if member.key not in variables:
-                have = ", ".join(variables)
-                raise _error(clause, f"SUBSET: {member.name!r} is not in PATTERN; there are: {have}", member)
-        frames[subset.name.key] = tuple(dict.fromkeys(member.key for member in subset.members))
-    defined: set[str] = set()
-    for define in clause.defines:
-        if define.name.key not in variables:
-            raise _error(clause, f"DEFINE: {define.name.name!r} is not in PATTERN", define.name)
-        if define.name.key in defined:
-            raise _error(clause, f"DEFINE: {define.name.name!r} is defined twice", define.name)
-        defined.add(define.name.key)
-    target = clause.skip.variable
-    if target is not None and target.key not in frames:
-        have = ", ".join(frames)
-        raise _error(clause, f"AFTER MATCH SKIP: unknown pattern variable {target.name!r}; there are: {have}", target)
-    return frames
-
-
-def _error(clause: Clause, message: str, name: Identifier) -> RuleError:
-    return clause.passage.error(message, name.at)
 
 
 def _literal(value: Any) -> exp.Expr:

@@ -18,6 +18,7 @@ from store import Log
 from vian.clock import utc_now
 from vian.errors import WrongUsage
 from vian.settings import Settings
+from vian.zoning import undefined
 
 
 def load_all(paths: Sequence[Path]) -> list[Rule]:
@@ -71,9 +72,9 @@ def readable_rules(files: Sequence[Path]) -> list[Rule]:
 
 
 def misplaced(log: Log, rules: Sequence[Rule]) -> list[str]:
-    """A remark for each zone and line of a source that the log has no events of, where it has those of others."""
+    """A remark for each zone and line of a source without events in the log, and each shared one not drawn."""
     heads = log.streams()
-    remarks = []
+    remarks = [f"{rule.rule}: {each}" for rule in rules if rule.shared for each in undefined(log, rule.shared)]
     for rule in rules:
         types = sorted({arm.source_type.name.lower() for arm in parse(rule.passage("match")).arms})
         wanted = " or ".join(types)

@@ -88,8 +88,8 @@ class Points(BaseModel):
     frame: tuple[int, int] | None = None
 
 
-def standing(log: Log, station: str) -> dict[tuple[str, str], Standing]:
-    """The zones and lines that stand, by source and name; those removed are not among them."""
+def standing(log: Log, station: str | None) -> dict[tuple[str, str], Standing]:
+    """The zones and lines of a station (None: of all) that stand, by source and name; not those that were removed."""
     found: dict[tuple[str, str], Standing] = {}
     for event, stream, sequence in _said(log, station, (ZoneDefined, ZoneRemoved)):
         source = stream.split("/")[1]
@@ -227,11 +227,11 @@ def frame_size_of(log: Log, station: str, source: str) -> tuple[int, int] | None
     return size
 
 
-def undefined(log: Log, station: str, shared: Iterable[str]) -> list[str]:
+def undefined(log: Log, shared: Iterable[str]) -> list[str]:
     """What is to be said of each shared name that no source of the log has defined."""
-    names = {name for _, name in standing(log, station)}
+    names = {name for _, name in standing(log, None)}
     return [
-        f"it shares {name!r}, which no source of this log has defined{did_you_mean(name, names)}. "
+        f"no source of this log has defined the shared zone or line {name!r} that it uses{did_you_mean(name, names)}. "
         f"Next: vian zones define {name} --source SOURCE --zone POINTS"
         for name in shared
         if name not in names
@@ -278,10 +278,11 @@ def _normalised(points: Any) -> tuple[Any, Any]:
     return similarity, (points - mean) * scale
 
 
-def _said(log: Log, station: str, types: tuple[type[EventType], ...]) -> list[tuple[EventType, str, int]]:
-    """The station's events of these types, in the order of the log, with stream and sequence."""
+def _said(log: Log, station: str | None, types: tuple[type[EventType], ...]) -> list[tuple[EventType, str, int]]:
+    """The events of these types of a station (None: of all), in the order of the log, with stream and sequence."""
     names = {str(each.type_name) for each in types}
-    streams = [head.stream for head in log.streams() if head.stream.type in names and head.stream.station == station]
+    stations = {head.stream.station for head in log.streams()} if station is None else {station}
+    streams = [head.stream for head in log.streams() if head.stream.type in names and head.stream.station in stations]
     segments = [segment for stream in streams for segment in log.read_lives(stream)]
     return [
         (event, str(segment.stream), segment.header.first_sequence + at)

@@ -21,6 +21,8 @@ from events import (
     ProcessFinished,
     Segment,
     UnknownType,
+    ZoneDefined,
+    ZoneRemoved,
     decode,
     events_of,
     with_envelope,
@@ -202,7 +204,7 @@ class Pass:
 
     def _learn(self, event: EventType, stream: str, sequence: int) -> list[Finding]:
         """Takes in what an event says of a camera; only the newest word is kept for rules to come."""
-        key = (event.type_name, stream, getattr(event, "zone", None))
+        key = _what(event, stream)
         self._site.pop(key, None)
         self._site[key] = (event, stream, sequence)
         findings = []
@@ -260,15 +262,29 @@ class Pass:
 
 
 def site_at(log: Log, position: int) -> list[SiteEvent]:
-    """What the log up to a position says of the cameras, in order."""
+    """What the log says of the cameras when it is read from a position on, in order.
+
+    That is what stands up to there; and of what is first said later, the first word: a zone that was drawn when the
+    footage was already in the log holds for all of it.
+    """
     names = {str(each.type_name) for each in SITE_TYPES}
-    streams = {head.stream for head in log.streams() if head.stream.type in names} if position else set()
-    segments = [each for stream in streams for each in log.read_lives(stream) if each.position <= position]
+    streams = {head.stream for head in log.streams() if head.stream.type in names}
+    segments = [each for stream in streams for each in log.read_lives(stream)]
     found: list[SiteEvent] = []
+    known: set[tuple[object, ...]] = set()
     for segment in sorted(segments, key=lambda each: each.position):
-        events = _events(segment, log.catalogue)
-        found += [(event, str(segment.stream), segment.header.first_sequence + at) for at, event in enumerate(events)]
+        for at, event in enumerate(_events(segment, log.catalogue)):
+            key = _what(event, str(segment.stream))
+            if segment.position <= position or key not in known:
+                found.append((event, str(segment.stream), segment.header.first_sequence + at))
+            known.add(key)
     return found
+
+
+def _what(event: EventType, stream: str) -> tuple[object, ...]:
+    """What the event is about: a camera's frames or calibration, or one of its zones or lines."""
+    is_shape = isinstance(event, ZoneDefined | ZoneRemoved)
+    return stream.rsplit("/", 1)[0], "zone" if is_shape else event.type_name, getattr(event, "zone", None)
 
 
 def _events(segment: Segment, catalogue: Catalogue) -> list[EventType]:

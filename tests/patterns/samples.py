@@ -83,6 +83,7 @@ def letter_rule(
     within: str = "",
     partition: str = "key",
     more: str = "",
+    subset: str = "",
 ) -> Rule:
     """A rule over the type `letter`; a variable that DEFINE leaves out takes rows of its own letter."""
     clauses = [
@@ -93,6 +94,7 @@ def letter_rule(
         f"AFTER MATCH SKIP {skip}",
         f"PATTERN ({pattern})",
         f"WITHIN {within}" if within else "",
+        f"SUBSET {subset}" if subset else "",
         f"DEFINE {define}" if define else "",
     ]
     body = "\n    ".join(clause for clause in clauses if clause)

@@ -2,10 +2,11 @@
 
 import re
 
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from patterns import match
+from tests.patterns.examples import examples
 from tests.patterns.reference import Tree, has_empty_body, rendered
 from tests.patterns.samples import bound_unless_empty, define_letters, letter_rule, letters, spans, trees
 
@@ -22,7 +23,7 @@ def _regex(tree: Tree) -> str:
     return f"(?:{_regex(body)}){{{least},{'' if most is None else most}}}{'' if greedy else '?'}"
 
 
-@settings(max_examples=200, deadline=None)
+@examples(0.2)
 @given(tree=trees("ABC", leaves=7), text=st.text("abcd", max_size=14))
 def test_spans_are_those_of_re(tree: Tree, text: str) -> None:
     assume(not has_empty_body(tree))

@@ -1,15 +1,13 @@
-import os
 from typing import Any
 
 import pytest
-from hypothesis import assume, given, note, settings
+from hypothesis import assume, given, note
 from hypothesis import strategies as st
 
 from patterns import SkipError, bind, match
+from tests.patterns.examples import examples
 from tests.patterns.reference import Condition, Reference, SkipFails, TooSlow, Tree, rendered, variables
 from tests.patterns.samples import SCHEMAS, bound_unless_empty, classified, letter_rows, letter_rule, partitions, trees
-
-EXAMPLES = int(os.environ.get("VIAN_PATTERN_EXAMPLES", "600"))
 
 Choice = tuple[str, Condition]
 
@@ -81,7 +79,7 @@ def _joined(join: Any, left: Condition, right: Condition) -> Condition:
     return lambda seen: join(left(seen), right(seen))
 
 
-@settings(max_examples=EXAMPLES, deadline=None)
+@examples(0.3)
 @given(
     tree=trees("ABC"),
     chosen=conditions("ABC"),

@@ -4,10 +4,11 @@ from itertools import pairwise
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from patterns import BoundRule, Match, RuleRun, bind, match
+from tests.patterns.examples import examples
 from tests.patterns.samples import SCHEMAS, define_letters, letter_rows, letter_rule
 
 LATENESS_US = 4
@@ -89,7 +90,7 @@ def _online(bound: BoundRule, pieces: list[list[Record]], restarts: set[int]) ->
     return [*found, *run.finish().matches]
 
 
-@settings(max_examples=45, deadline=None)
+@examples(0.0225)  # for each of the rules
 @given(
     rows=records(), cuts=st.lists(st.integers(0, 100), max_size=6), restarts=st.sets(st.integers(0, 6)),
     is_shuffled=st.booleans(),

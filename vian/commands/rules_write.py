@@ -14,9 +14,11 @@ from events import load_catalogue
 from patterns.cases import TestResult, run_tests
 from patterns.errors import PatternError, RuleError
 from patterns.expanding import expand
-from patterns.lint import Finding, check, finding_of
+from patterns.lint import Finding, finding_of
+from patterns.lint import lint as lint_rules
 from patterns.loading import is_stage_file, load_rule, parse_rule
 from patterns.processor import schemas
+from patterns.rule import Rule
 from patterns.stages.cases import run_stage_tests
 from patterns.stages.files import load_stage
 from patterns.strata import with_situations
@@ -171,10 +173,11 @@ def lint(paths: Paths, as_json: options.Json = False) -> None:
     """Say what is wrong, or looks wrong, with rules, each at its place; nothing is run."""
     output = Output(is_json=as_json)
     known = with_situations(schemas(load_catalogue()), readable_rules(files_of(paths)))
-    findings = [finding for file in files_of(paths) for finding in _findings(file, known)]
+    rules, findings = _loaded(files_of(paths))
+    findings += lint_rules(rules, known)
     for each in findings:
         place = {"file": each.place.file, "line": each.place.line, "column": each.place.column}
-        output.result({"severity": each.severity, "message": each.message, **place}, str(each))
+        output.result({"severity": each.severity, "code": each.code, "message": each.message, **place}, str(each))
     errors = sum(each.severity == "error" for each in findings)
     warnings = len(findings) - errors
     if errors:
@@ -182,13 +185,17 @@ def lint(paths: Paths, as_json: options.Json = False) -> None:
     output.note(f"no errors, {warnings} warnings")
 
 
-def _findings(file: Path, known: Mapping[str, pa.Schema]) -> list[Finding]:
-    try:
-        return check(load_rule(file), known)
-    except RuleError as error:
-        return [finding_of(error)]
-    except OSError as error:
-        raise _unreadable(file, error) from error
+def _loaded(files: Sequence[Path]) -> tuple[list[Rule], list[Finding]]:
+    """The rules of the files, and what is to be said of files that hold none."""
+    rules, findings = [], []
+    for file in files:
+        try:
+            rules.append(load_rule(file))
+        except RuleError as error:
+            findings.append(finding_of(error))
+        except OSError as error:
+            raise _unreadable(file, error) from error
+    return rules, findings
 
 
 def _unreadable(file: Path, error: OSError) -> WrongUsage:

@@ -1,0 +1,690 @@
+"""Rules that read the same rows with the same clock, run together by the kernel.
+
+A lane does for its rules what `patterns.running` and `patterns.engine` do for one: it holds rows until they
+are final, groups them by partition in the total order, asks each question about a row once for all rules,
+and makes situations of what the kernel finds. Rules join a lane before its first row.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from datetime import datetime
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from events import EventType
+from patterns import kernel as k
+from patterns.bound import BoundRule
+from patterns.clock import Clock
+from patterns.columns import Rows as RowsOfTable
+from patterns.durations import microseconds
+from patterns.emitter import Emitter
+from patterns.errors import CalibrationUnknown, FrameSizeUnknown, LimitError, MatchError, PatternError, SkipError
+from patterns.expressions import Column, Expr, Kind, Shift, column_names, walk
+from patterns.inputs import Input, rows_of
+from patterns.interning import Keys, Texts, as_value
+from patterns.kernel import Integers
+from patterns.matcher import Ending, Event, Found, Trace
+from patterns.packed import Assembly, Packed
+from patterns.places import Places
+from patterns.pools import Shape, grown, new_scratch, new_state, with_partitions, with_partitions_kept
+from patterns.records import ROW_COLUMNS, STREAM_COLUMNS, Arrived, Layout, Recorder, RowEvaluator
+from patterns.rows import SEQUENCE, STREAM, TIME, StreamNumbers, normalised
+from patterns.running import Counts, GivenUp, Outcome, decided_order, needs
+from patterns.site import Site
+from patterns.situations import EventRef, Match, Narrator, as_python, event_ref, nearest_time
+from patterns.tails import Tails
+
+SLOTS_MOST = 62
+_IMPLIED = frozenset((*STREAM_COLUMNS, *ROW_COLUMNS))
+
+
+@dataclass(frozen=True, slots=True)
+class LaneInput:
+    """What rules of one lane share.
+
+    Attributes:
+        type: The event type; None: rows are computed, or come from several arms.
+        where: The filter of FROM, where it is of one type.
+        arms: The arms of FROM, where they are more than that.
+        keys: The partition columns.
+        kinds: Their types.
+        lateness_us: How late a row may be.
+        idle_us: After how long a silent source holds nothing; None: never.
+        partitions_most: The limit `partitions`.
+    """
+
+    type: str | None
+    where: Expr | None
+    arms: tuple[Input, ...]
+    keys: tuple[str, ...]
+    kinds: tuple[Kind, ...]
+    lateness_us: int
+    idle_us: int | None
+    partitions_most: int
+
+    @classmethod
+    def of(cls, packed: Packed) -> "LaneInput":
+        """That of a rule."""
+        bound, plain = packed.bound, packed.bound.plain_input
+        time = bound.rule.time
+        return cls(
+            type=None if plain is None else plain.type,
+            where=packed.where,
+            arms=() if plain is not None else bound.inputs,
+            keys=bound.keys,
+            kinds=tuple(bound.columns[name] for name in bound.keys),
+            lateness_us=microseconds(time.lateness),
+            idle_us=None if time.idle is None else microseconds(time.idle),
+            partitions_most=bound.limits.partitions,
+        )
+
+
+@dataclass(slots=True)
+class Member:
+    """One rule of a lane.
+
+    Attributes:
+        name: What the set knows it by.
+        packed: The rule.
+        wanted: The conditions and values that it asks for.
+        narrator: Makes its situations.
+        emitter: Holds back what is to be held back.
+        matches: How many situations it gave.
+        failure: Why it was set aside.
+        readers: How to read its registers: the type of each; None: a number of rows.
+    """
+
+    name: str
+    packed: Packed
+    wanted: frozenset[Expr]
+    narrator: Narrator
+    emitter: Emitter
+    readers: tuple[Kind | None, ...]
+    matches: int = 0
+    failure: Exception | None = None
+    given_up: list[GivenUp] = field(default_factory=list)
+
+    @property
+    def bound(self) -> BoundRule:
+        """The rule."""
+        return self.packed.bound
+
+
+@dataclass(slots=True)
+class _Grouped:
+    """Rows by partition: their numbers group after group, in the total order.
+
+    Attributes:
+        partitions: The partition of each group.
+        bounds: Where each group begins in `order`, and the end.
+        order: Numbers of rows.
+    """
+
+    partitions: Integers
+    bounds: Integers
+    order: Integers
+
+
+class Lane:
+    """Rules that read the same rows. Not for several threads at once."""
+
+    def __init__(self, input_: LaneInput, site: Site, *, is_strict: bool) -> None:
+        self.input = input_
+        self.is_strict = is_strict
+        self.members: list[Member] = []
+        self.clock = Clock(input_.lateness_us, input_.idle_us)
+        self.streams = StreamNumbers()
+        self.counts = Counts()
+        self.site = site
+        self.waiting: list[pa.Table] = []
+        self.layout = Layout()
+        self.zones: dict[str, Any] = {}
+        self.lines: dict[str, Any] = {}
+        self.texts = Texts()
+        self.keys = Keys(input_.kinds)
+        self.places = Places(self.zones, self.lines, site)
+        self.recorder = Recorder(self.layout, self.places, self.texts)
+        self.columns: dict[str, Kind] = {}
+        self.tails = Tails(0, {})
+        self._shape = Shape(0, 0, 0, 0)
+        self.state = new_state(self._shape)
+        self._place = np.empty(0, dtype=np.int64)
+        self._partitions_least = 1024
+        self._late: tuple[EventRef, ...] = ()
+
+    # Rules.
+
+    @property
+    def is_fresh(self) -> bool:
+        """Whether a rule that joins misses nothing."""
+        return not self.clock.sources and self.counts == Counts() and not self.keys.count
+
+    def has_room(self, packed: Packed) -> bool:
+        """Whether the rule's values fit beside those of the others."""
+        return len({*self.layout.slots, *packed.slots}) <= SLOTS_MOST
+
+    def join(self, name: str, packed: Packed) -> None:
+        """The rule is one of the lane's, which has seen no row yet."""
+        assert self.is_fresh, "a rule joins a lane before its first row"
+        self._add_member(name, packed)
+        self.rebuild()
+
+    def admit(self, name: str, packed: Packed) -> None:
+        """The rule is one of the lane's, and what it remembers of the rows before now is put in afterwards."""
+        words, slots = self.layout.words, len(self.layout.slots)
+        self._add_member(name, packed)
+        self._begin_columns()
+        rows, failures = self.state.last_rows, self.state.failures
+        wider = np.zeros((len(rows), k.R_BITS + self.layout.words + len(self.layout.slots)), dtype=np.int64)
+        wider[:, : k.R_BITS + words] = rows[:, : k.R_BITS + words]
+        first = k.R_BITS + self.layout.words
+        wider[:, first : first + slots] = rows[:, k.R_BITS + words :]
+        more = max(len(packed.bound.registers) - self.state.registers.shape[1], 0)
+        registers = np.pad(self.state.registers, ((0, 0), (0, more)))
+        self.state = self.state._replace(last_rows=wider, failures=np.append(failures, 0), registers=registers)
+        self.rebuild()
+
+    def drop(self, name: str) -> None:
+        """The rule is no longer the lane's, and what it remembered is forgotten."""
+        at = self.place_of(name)
+        del self.members[at]
+        if not self.members:
+            return
+        k.drop_rule(self.state, at)
+        self.state = self.state._replace(failures=np.delete(self.state.failures, at))
+        rules = self.state.cells[:, k.C_RULE]
+        rules[rules > at] -= 1
+        self.rebuild()
+
+    @property
+    def types(self) -> frozenset[str]:
+        """The event types that the rules read."""
+        return frozenset().union(*(member.bound.types for member in self.members))
+
+    def place_if_any(self, rule_hash: str) -> int | None:
+        """Where a rule of this content stands among the lane's; None: there is none."""
+        hashes = [member.bound.rule.hash for member in self.members]
+        return hashes.index(rule_hash) if rule_hash in hashes else None
+
+    def place_of(self, name: str) -> int:
+        """Where the rule stands among the lane's."""
+        return [member.name for member in self.members].index(name)
+
+    def _add_member(self, name: str, packed: Packed) -> Member:
+        bound = packed.bound
+        self.zones.update(packed.zones)
+        self.lines.update(packed.lines)
+        self.layout.add(packed.predicates, packed.slots, self.zones)
+        places = Places(bound.rule.zones, bound.rule.lines, self.site)
+        member = Member(
+            name=name,
+            packed=packed,
+            wanted=frozenset((*packed.predicates, *packed.slots)),
+            narrator=Narrator(bound, places, self.streams.names),
+            emitter=Emitter(bound.rule.emit),
+            readers=tuple(_reader(bound, at) for at in range(len(bound.registers))),
+        )
+        self.members.append(member)
+        return member
+
+    def rebuild(self) -> None:
+        """Makes the tables anew, after rules came or went."""
+        packed = [member.packed for member in self.members]
+        layout = self.layout
+        registers = max((len(each.bound.registers) for each in packed), default=0)
+        self._shape = Shape(layout.words, len(layout.slots), registers, len(packed))
+        assembly = Assembly(layout.bits, layout.slots, layout.words)
+        self.tables = assembly.tables(packed, is_strict=self.is_strict)
+        self._wanted = frozenset(expr for member in self.members for expr in member.wanted)
+        if self.is_fresh:
+            self._begin_anew()
+        self._scratch = new_scratch(self.tables, self._shape)
+
+    def _begin_anew(self) -> None:
+        self._begin_columns()
+        self.state = new_state(self._shape)
+        reach = max((each.bound.reach for each in self.members), default=0)
+        looked_back_at = {
+            name: kind for each in self.members for name, kind in self.looked_back_at(each.packed).items()
+        }
+        self.tails = Tails(reach, looked_back_at)
+
+    def _begin_columns(self) -> None:
+        """Says which columns are to be kept of rows; with rows waiting, these have them all."""
+        columns = {name: kind for each in self.members for name, kind in self._columns_of(each.packed).items()}
+        self.columns = dict(sorted(columns.items()))
+
+    def _columns_of(self, packed: Packed) -> dict[str, Kind]:
+        names = (column_names((*packed.predicates, *packed.slots)) | set(packed.bound.keys)) - _IMPLIED
+        kinds = {name: kind for name, kind in packed.bound.columns.items() if name in names}
+        return kinds if packed.where is None else {**_reads(packed), **kinds}
+
+    def looked_back_at(self, packed: Packed) -> dict[str, Kind]:
+        """The columns that the rule reads of earlier rows."""
+        read = (*packed.predicates, *packed.slots)
+        shifts = tuple(part for expr in read for part in walk(expr) if isinstance(part, Shift))
+        return {name: kind for name, kind in self._columns_of(packed).items() if name in column_names(shifts)}
+
+    # Rows and time.
+
+    def set_frame_size(self, source: str, width: int, height: int) -> None:
+        """The source's frames have this size in pixels, from the next step on."""
+        self.site.frame_sizes[source] = (width, height)
+        self.recorder.forget_rasters()
+
+    def learn(self, event: EventType, stream: str, sequence: int) -> dict[str, Outcome]:
+        """Takes in what an event says of a camera; a rule that cannot use it is set aside."""
+        needing = [
+            at for at, member in enumerate(self.members)
+            if needs(member.bound, event, needs_calibration=member.narrator.needs_calibration)
+        ]  # fmt: skip
+        if needing:
+            try:
+                self.site.learn(event, stream, sequence, self.clock.watermark_us)
+            except MatchError as error:
+                for at in needing:
+                    self._fail(at, error)
+            self.recorder.forget_rasters()
+        return {}
+
+    def push(self, table: pa.Table, newest_by_source: Sequence[tuple[str, int]]) -> dict[str, Outcome]:
+        """Takes rows as they arrive, whose envelope is whole, and for each source its newest time."""
+        self._late = self._take(table)
+        for source, newest in newest_by_source:
+            self.clock.observe(source, newest)
+        return self._advance()
+
+    def source_ended(self, source: str) -> dict[str, Outcome]:
+        """The source will send no more."""
+        if self.clock.end(source):
+            return self.finish()
+        return self._advance()
+
+    def advance_idle(self, now_us: int) -> dict[str, Outcome]:
+        """Looks for sources that have been silent for the idle time."""
+        self.clock.look_for_idle(now_us)
+        return self._advance()
+
+    def finish(self) -> dict[str, Outcome]:
+        """The input has ended: everything is decided."""
+        self._run(self._released(None))
+        self._expire(0, is_end=True)
+        outcomes = self._outcomes()
+        self._forget_all()
+        self.clock.reset()
+        for member in self.members:
+            member.emitter.reset()
+        return outcomes
+
+    def _advance(self) -> dict[str, Outcome]:
+        watermark_us = self.clock.advance()
+        if watermark_us is None:
+            return self._outcomes()
+        self._run(self._released(watermark_us))
+        self._expire(watermark_us, is_end=False)
+        outcomes = self._outcomes()
+        for member in self.members:
+            member.emitter.forget(watermark_us)
+        self._tidy(watermark_us)
+        return outcomes
+
+    def _take(self, table: pa.Table) -> tuple[EventRef, ...]:
+        """Holds the rows that are in time; the others."""
+        rows = self._rows_of(table)
+        if rows is None or rows.num_rows == 0:
+            return ()
+        late: tuple[EventRef, ...] = ()
+        times = rows.column(TIME).to_numpy()
+        watermark_us = self.clock.watermark_us
+        if watermark_us is not None and times.min() < watermark_us:
+            is_late = times < watermark_us
+            late = tuple(self._refs(rows.filter(pa.array(is_late))))
+            rows = rows.filter(pa.array(~is_late))
+            times = times[~is_late]
+        self.counts.late += len(late)
+        self.counts.rows += rows.num_rows
+        if rows.num_rows:
+            if np.any(times[1:] < times[:-1]):
+                rows = rows.take(pa.array(np.argsort(times, kind="stable")))
+            self.waiting.append(rows.combine_chunks())
+        return late
+
+    def _rows_of(self, table: pa.Table) -> pa.Table | None:
+        """The rows that these events, of any types, are for the rules."""
+        if not self.members:
+            return None
+        if self.input.type is None:
+            rows = rows_of(self.input.arms, table, self.streams, self.places)
+            return None if rows is None else rows.select([STREAM, TIME, SEQUENCE, *self.columns])
+        table = _of_type(table, self.input.type)
+        if table.num_rows == 0:
+            return None
+        rows = normalised(table, self.columns, self.streams)
+        return rows if self.input.where is None else self._filtered(rows)
+
+    def _released(self, before_us: int | None) -> pa.Table | None:
+        """The rows that are final, in any order; they wait no longer. None: there are none."""
+        released, waiting = [], []
+        for rows in self.waiting:
+            count = rows.num_rows
+            if before_us is not None:
+                count = int(np.searchsorted(rows.column(TIME).to_numpy(), before_us))
+            if count:
+                released.append(rows.slice(0, count))
+            if count < rows.num_rows:
+                waiting.append(rows.slice(count))
+        self.waiting = waiting
+        return pa.concat_tables(released).combine_chunks() if released else None
+
+    def _refs(self, rows: pa.Table) -> list[EventRef]:
+        columns = [rows.column(name).to_pylist() for name in (STREAM, SEQUENCE, TIME)]
+        return [event_ref(each, self.streams.names) for each in zip(*columns, strict=True)]
+
+    # From rows to matches.
+
+    def _run(self, rows: pa.Table | None) -> None:
+        if rows is None or rows.num_rows == 0 or not self.members:
+            return
+        grouped = self._grouped(rows)
+        arrived = self.tails.before(rows, grouped.partitions, grouped.bounds, grouped.order, self.streams.names)
+        records = self.recorder.records(arrived, self._wanted)
+        self._fail_where_unknown()
+        cursor = np.array([0, -1], dtype=np.int64)
+        while k.run(
+            self.tables, self.state, self._scratch, records, grouped.order, grouped.partitions, grouped.bounds, cursor,
+            self._shape.words,
+        ):  # fmt: skip
+            self.state = grown(self.state)
+        self.tails.keep(arrived, grouped.partitions, grouped.bounds, grouped.order)
+
+    def _filtered(self, rows: pa.Table) -> pa.Table | None:
+        assert self.input.where is not None
+        arrived = Arrived(rows, 0, None, rows.column(STREAM).to_numpy(), self.streams.names)
+        evaluator = RowEvaluator(RowsOfTable(rows, np.empty(0, dtype=np.int64)), self.places, arrived=arrived)
+        try:
+            holds = evaluator.truth(self.input.where)
+        except PatternError as error:
+            for at in range(len(self.members)):
+                self._fail(at, error)
+            return None
+        return rows if holds.all() else rows.filter(pa.array(holds))
+
+    def _grouped(self, rows: pa.Table) -> _Grouped:
+        count = rows.num_rows
+        streams = rows.column(STREAM).to_numpy()
+        columns = [self._key_column(rows, name, streams) for name in self.input.keys]
+        numbers = self.keys.numbers(columns, count)
+        self.make_room()
+        bounds, partitions, order = (np.empty(length, dtype=np.int64) for length in (count + 1, count, count))
+        time, sequence = rows.column(TIME).to_numpy(), rows.column(SEQUENCE).to_numpy()
+        rank = self.streams.ranks()[streams]
+        groups = k.group(numbers, time, rank, sequence, self._place, partitions, bounds, order)
+        return _Grouped(partitions[:groups], bounds[: groups + 1], order)
+
+    def _key_column(self, rows: pa.Table, name: str, streams: Integers) -> Any:
+        if name in ROW_COLUMNS:
+            return rows.column(ROW_COLUMNS[name]).combine_chunks()
+        if name not in STREAM_COLUMNS:
+            return rows.column(name).combine_chunks()
+        parts = [stream.split("/")[STREAM_COLUMNS[name]] for stream in self.streams.names]
+        return np.array([self.keys.texts.number(part) for part in parts], dtype=np.int64)[streams]
+
+    def make_room(self) -> None:
+        """Makes room for all partitions that have a number."""
+        self.state = with_partitions(self.state, self.keys.count)
+        room = len(self.state.first_cells)
+        self.tails.make_room(room)
+        if len(self._place) < room:
+            self._place = np.full(room, -1, dtype=np.int64)
+
+    def _expire(self, until_us: int, *, is_end: bool) -> None:
+        cursor = np.zeros(1, dtype=np.int64)
+        while k.expire(self.tables, self.state, until_us, is_end, cursor):
+            self.state = grown(self.state)
+
+    # Failures.
+
+    def _fail_where_unknown(self) -> None:
+        for expr, error in self.recorder.failures.items():
+            for at, member in enumerate(self.members):
+                if expr in member.wanted:
+                    self._fail(at, error)
+
+    def _fail(self, at: int, error: Exception) -> None:
+        """The rule is set aside from this step on; the set takes it out after it."""
+        member = self.members[at]
+        member.failure = member.failure or _in_own_names(member, error)
+        self.state.failures[at] = -1
+
+    def _note_failures(self) -> None:
+        for at in np.flatnonzero(self.state.failures).tolist():
+            member, failure = self.members[at], int(self.state.failures[at])
+            if failure > 0:
+                member.failure = _error_of(member.bound, failure)
+
+    # From what was found to situations.
+
+    def _outcomes(self) -> dict[str, Outcome]:
+        """What the step led to for each rule."""
+        self._note_failures()
+        late, self._late = self._late, ()
+        found = self._found()
+        outcomes = {}
+        for at, member in enumerate(self.members):
+            if member.failure is not None:
+                continue
+            given_up, member.given_up = tuple(member.given_up), []
+            matches = self._emitted(member, found[at]) if at in found else ()
+            if matches or late or given_up:
+                outcomes[member.name] = Outcome(matches, late, given_up)
+        return outcomes
+
+    def _found(self) -> dict[int, list[tuple[tuple[Any, ...], Found]]]:
+        """By rule what was found."""
+        state = self.state
+        count = int(state.controls[k.FOUND])
+        if count == 0:
+            return {}
+        ends, runs = np.empty(count, dtype=np.int64), np.empty((4 * count, 6), dtype=np.int64)
+        total = k.runs_of(state, count, runs, ends)
+        if total > len(runs):
+            runs = np.empty((total, 6), dtype=np.int64)
+            k.runs_of(state, count, runs, ends)
+        threads = state.found[:count, k.F_THREAD]
+        rows = zip(
+            state.found[:count].tolist(), state.registers[threads].tolist(), state.threads[threads, k.T_NULLS].tolist(),
+            [0, *ends[:-1].tolist()], ends.tolist(), strict=True,
+        )  # fmt: skip
+        listed = runs[:total].tolist()
+        found: dict[int, list[tuple[tuple[Any, ...], Found]]] = {}
+        keys: dict[int, tuple[Any, ...]] = {}
+        for record, words, nulls, begin, end in rows:
+            partition = record[k.F_PARTITION]
+            key = keys.get(partition)
+            if key is None:
+                key = keys[partition] = self.keys.key(partition)
+            member = self.members[record[k.F_RULE]]
+            if record[k.F_HOW] == k.GIVEN_UP:
+                self._note_given_up(member, key, record[k.F_END_ORDINAL], record[k.F_TIME])
+                continue
+            registers = self._registers(member, words, nulls)
+            each = _found_of(record, registers, listed[begin:end])
+            found.setdefault(record[k.F_RULE], []).append((key, each))
+        k.clear_found(state)
+        return found
+
+    def _registers(self, member: Member, words: list[int], nulls: int) -> tuple[Any, ...]:
+        return tuple(
+            word if kind is None else None if nulls >> at & 1 else as_value(word, kind, self.texts)
+            for at, (word, kind) in enumerate(zip(words, member.readers, strict=False))
+        )
+
+    def _note_given_up(self, member: Member, key: tuple[Any, ...], threads: int, since_us: int) -> None:
+        partition = self._partition_of(key)
+        why = f"a partition has {threads} partial matches; the limit `threads` is {member.bound.limits.threads}"
+        member.given_up.append(GivenUp(partition, threads, why, nearest_time(since_us)))
+
+    def _partition_of(self, key: tuple[Any, ...]) -> dict[str, Any]:
+        parts = zip(self.input.keys, key, self.input.kinds, strict=True)
+        return {name: as_python(value, kind) for name, value, kind in parts}
+
+    def _emitted(self, member: Member, found: list[tuple[tuple[Any, ...], Found]]) -> tuple[Match, ...]:
+        """The matches that become situations, in the order in which they were decided."""
+        newest_us, names = self.clock.newest_us(), self.streams.names
+        matches = []
+        for key, each in sorted(found, key=lambda pair: decided_order(pair[1], names)):
+            made = member.narrator.match(key, each)
+            now_us = newest_us if each.decided_us is None else each.decided_us
+            if member.emitter.lets_through(made, now_us):
+                matches.append(made)
+        member.matches += len(matches)
+        return tuple(matches)
+
+    # Forgetting.
+
+    def _forget_all(self) -> None:
+        self.keys = Keys(self.input.kinds)
+        self.texts.__init__()  # type: ignore[misc]
+        failures = self.state.failures
+        self.state = new_state(self._shape)._replace(failures=failures)
+        self.tails.clear()
+        self._place = np.empty(0, dtype=np.int64)
+
+    def _tidy(self, watermark_us: int) -> None:
+        """Forgets partitions that nothing has to be remembered of, when there are many more than before."""
+        if self.keys.count < 2 * self._partitions_least:
+            return
+        kept = np.flatnonzero(self._is_wanted(watermark_us))
+        if len(kept) > self.input.partitions_most:
+            kept = self._limited(kept)
+        self._keep(kept)
+        self._partitions_least = max(1024, min(len(kept), self.input.partitions_most // 2))
+
+    def _keep(self, kept: Integers) -> None:
+        self.keys = self.keys.kept(kept)
+        self.state = with_partitions_kept(self.state, kept)
+        self.tails.keep_partitions(kept)
+        self._place = np.full(len(kept), -1, dtype=np.int64)
+
+    def _is_wanted(self, watermark_us: int) -> Any:
+        is_wanted = np.zeros(self.keys.count, dtype=np.bool_)
+        k.wanted(self.tables, self.state, self.keys.count, watermark_us, self._shape.words, is_wanted)
+        return is_wanted
+
+    def _limited(self, kept: Integers) -> Integers:
+        """Those that stay when the limit `partitions` is reached: where it is strict the rules fail instead."""
+        most = self.input.partitions_most
+        why = f"{len(kept)} partitions are remembered; the limit `partitions` is {most}"
+        if self.is_strict:
+            for at, member in enumerate(self.members):
+                self._fail(
+                    at, LimitError(f"rule {member.bound.rule.rule}: {why}. A WITHIN lets partitions be forgotten")
+                )
+            return kept
+        by_age = kept[np.argsort(self.state.last_rows[kept, k.R_TIME], kind="stable")]
+        gone = by_age[: len(kept) - most // 2]
+        for partition in gone.tolist():
+            self._give_up(partition, why)
+        return np.sort(by_age[len(gone) :])
+
+    def _give_up(self, partition: int, why: str) -> None:
+        """Forgets a partition, and notes what that cost."""
+        state = self.state
+        key, cell = None, int(state.first_cells[partition])
+        while cell >= 0:
+            rule, first = int(state.cells[cell, k.C_RULE]), int(state.cells[cell, k.C_FIRST])
+            if first >= 0:
+                key = key or self._partition_of(self.keys.key(partition))
+                since = nearest_time(int(state.attempts[first, k.A_TIME]))
+                cost = GivenUp(key, int(state.cells[cell, k.C_THREADS]), why, since)
+                self.members[rule].given_up.append(cost)
+            cell = int(state.cells[cell, k.C_NEXT])
+        k.drop_partition(state, partition)
+
+    def compile_rest(self) -> None:
+        """Runs what is seldom run: forgetting partitions, one by one and all that nothing is remembered of."""
+        self._keep(np.flatnonzero(self._is_wanted(0)))
+        for partition in range(self.keys.count):
+            k.drop_partition(self.state, partition)
+        k.drop_rule(self.state, -2)
+
+    # How it stands.
+
+    @property
+    def watermark(self) -> datetime | None:
+        """No row before this time is still expected."""
+        watermark_us = self.clock.watermark_us
+        return None if watermark_us is None else nearest_time(watermark_us)
+
+    @property
+    def rows_waiting(self) -> int:
+        """How many rows are not final yet."""
+        return sum(table.num_rows for table in self.waiting)
+
+    def partitions_open(self, name: str) -> int:
+        """How many partitions anything is remembered of for this rule."""
+        at = self.place_of(name)
+        watermark_us = self.clock.watermark_us
+        until = int(k.NEVER) * -1 if watermark_us is None else watermark_us
+        return int(k.open_partitions(self.tables, self.state, self.keys.count, until, self._shape.words, at))
+
+
+def _reads(packed: Packed) -> dict[str, Kind]:
+    """The columns that the filter of FROM reads."""
+    where = () if packed.where is None else tuple(walk(packed.where))
+    return {part.name: part.kind for part in where if isinstance(part, Column) and part.name not in _IMPLIED}
+
+
+def _found_of(record: list[int], registers: tuple[Any, ...], runs: list[list[int]]) -> Found:
+    trace: Trace | None = None
+    for variable, stream, first, last, ordinal, rows in runs:
+        trace = (trace, variable, stream, first, last, ordinal, rows)
+    assert trace is not None, "a match has rows"
+    end = (record[k.F_END_STREAM], record[k.F_END_SEQUENCE], record[k.F_END_TIME])
+    ending = Ending(registers, trace, end, record[k.F_END_ORDINAL])
+    first_event: Event = (record[k.F_STREAM], record[k.F_SEQUENCE], record[k.F_TIME])
+    how, decided_us = record[k.F_HOW], record[k.F_DECIDED_TIME]
+    if how == k.BY_END:
+        return Found(first_event, ending, None, None)
+    decided_by = (record[k.F_DECIDED_STREAM], record[k.F_DECIDED_SEQUENCE], decided_us) if how == k.BY_ROW else None
+    return Found(first_event, ending, decided_us, decided_by)
+
+
+def _reader(bound: BoundRule, at: int) -> Kind | None:
+    register = bound.registers[at]
+    if register.how in ("rows", "values") or register.slot is None:
+        return None
+    return bound.slots[register.slot].kind
+
+
+def _error_of(bound: BoundRule, failure: int) -> PatternError:
+    skip = f"AFTER MATCH SKIP {bound.skip.value}"
+    if failure == k.SKIP_NOWHERE:
+        return SkipError(f"{skip}: the variable is not in the match")
+    if failure == k.SKIP_FOR_EVER:
+        return SkipError(f"{skip}: it goes to the first row of the match, for ever")
+    return LimitError(
+        f"a partition has more partial matches than the limit `threads`, {bound.limits.threads}. "
+        "Begin the pattern with a rarer row, or shorten WITHIN"
+    )
+
+
+def _in_own_names(member: Member, error: Exception) -> Exception:
+    """The error with the rule's own name for the zone or line that it is about."""
+    rule = member.bound.rule
+    names = {shape.model_dump_json(): name for name, shape in (*rule.zones.items(), *rule.lines.items())}
+    if isinstance(error, FrameSizeUnknown) and error.shape in names:
+        return FrameSizeUnknown(names[error.shape], error.source)
+    if isinstance(error, CalibrationUnknown):
+        for shape, name in names.items():
+            if repr(shape) in error.who:
+                return CalibrationUnknown(error.who.replace(repr(shape), repr(name)), error.source)
+    return error
+
+
+def _of_type(table: pa.Table, wanted: str) -> pa.Table:
+    is_wanted = pc.equal(table.column("type"), wanted)
+    return table if pc.all(is_wanted).as_py() else table.filter(is_wanted)
