@@ -28,9 +28,11 @@ from patterns.errors import (
     SkipError,
     StateError,
 )
+from patterns.expanding import expand
+from patterns.findings import Finding
 from patterns.geometry import FrameSize, Line, Zone
 from patterns.limits import Limits
-from patterns.lint import Finding, check
+from patterns.lint import check, lint
 from patterns.loading import load_rule, load_rules, parse_rule
 from patterns.queries import query
 from patterns.rule import Rule
@@ -66,6 +68,8 @@ __all__ = [
     "Zone",
     "bind",
     "check",
+    "expand",
+    "lint",
     "load_rule",
     "load_rules",
     "match",

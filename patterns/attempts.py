@@ -13,19 +13,29 @@ from patterns.bound import BoundRule
 from patterns.columns import ColumnEvaluator
 from patterns.engine import machine_of
 from patterns.errors import LimitError
+from patterns.expressions import Call, Expr, Kind, conjuncts
 from patterns.matcher import Machine
 from patterns.registers import Registers, updated
 from patterns.shortfalls import Judge, Shortfall
-from patterns.telling import told_duration
+from patterns.telling import told, told_duration, told_value
+from patterns.timers import timers_of
 
 
 @dataclass(frozen=True, slots=True)
 class Taken:
-    """One row of an attempt, and what came before it."""
+    """One row of an attempt, and what came before it.
+
+    Attributes:
+        before: The row before; None for the first.
+        row: The row; of a virtual row that which set it.
+        variable: What it was taken as.
+        due_us: When it was due, for a virtual row; None for a real one.
+    """
 
     before: "Taken | None"
     row: int
     variable: str
+    due_us: int | None = None
 
     def rows(self) -> list["Taken"]:
         """The rows from the first on."""
@@ -93,6 +103,8 @@ class Attempts:
         near_us: The time that attempts should be near to.
         is_whole: Whether the first row is the partition's first.
         has_ended: Whether the last row is the partition's last.
+        until_us: How far time has come: virtual rows before it have happened.
+        key: The partition columns, for virtual rows.
     """
 
     bound: BoundRule
@@ -101,6 +113,8 @@ class Attempts:
     near_us: int
     is_whole: bool
     has_ended: bool
+    until_us: int = 0
+    key: Sequence[Any] = ()
     complete: list[Taken] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -108,6 +122,7 @@ class Attempts:
         self.judge = Judge(self.bound, self.evaluator)
         self.machine: Machine = machine_of(self.bound, self.evaluator.places, masks)
         self.missing = _rows_missing(self.machine)
+        self.timers = timers_of(self.bound, self.evaluator.places) if self.bound.timers else None
         self._bits = self._row_bits()
         self._values: dict[int, tuple[Any, ...]] = {}
         self._nearest: tuple[tuple[float, ...], Thread, Refused] | None = None
@@ -123,10 +138,12 @@ class Attempts:
         threads: list[Thread] = []
         wanted = set(starts)
         for row in range(len(self.times_us)):
+            threads = self._fired(threads, self.times_us[row], is_noting=True)
             if row in wanted:
                 threads.append(self._begun(row))
             if threads:
                 threads = self._step(threads, row, is_noting=True)
+        threads = self._fired(threads, self.until_us, is_noting=True)
         self.complete += [
             thread.taken for thread in threads
             if self.has_ended and thread.taken is not None and self.machine.tables.accepts_end[thread.place]
@@ -170,7 +187,7 @@ class Attempts:
         """The thread with the row taken at the target; None if it cannot take it."""
         machine = self.machine
         mask = machine.masks[target]
-        if self._bits[row] & mask != mask or self._is_over(thread, row):
+        if self._is_timed(target) or self._bits[row] & mask != mask or self._is_over(thread, row):
             return None
         values = self._values_of(row)
         registers = updated(thread.registers, machine.updates[target], values)
@@ -194,6 +211,8 @@ class Attempts:
 
     def _refused(self, thread: Thread, target: int, row: int) -> Refused:
         variable = self._variable(target)
+        if self._is_timed(target):
+            return Refused(row, variable, (self._not_due(thread, target, row),))
         values = self._values_of(row)
         registers = updated(thread.registers, self.machine.updates[target], values)
         condition = self.bound.conditions[self.machine.tables.variables[target]]
@@ -206,6 +225,9 @@ class Attempts:
         """At which row the attempt ended, and what that row was refused as; None: there was no further row."""
         threads = [thread]
         while row < len(self.times_us):
+            threads = self._fired(threads, self.times_us[row], is_noting=False)
+            if not threads:
+                return None, ()
             refused = [self._refused(each, target, row) for each in threads
                        for target in self.machine.tables.follow[each.place]]  # fmt: skip
             threads = self._step(threads, row, is_noting=False)
@@ -213,6 +235,70 @@ class Attempts:
                 return row, tuple({each.variable: each for each in refused}.values())
             row += 1
         return None, ()
+
+    # Virtual rows, which come after the real rows of their time: see `patterns.timers`.
+
+    def _fired(self, threads: list[Thread], until_us: int, is_noting: bool) -> list[Thread]:
+        """The threads after all virtual rows that are due before this time."""
+        if self.timers is None:
+            return threads
+        waiting, done = list(threads), []
+        while waiting:
+            thread = waiting.pop()
+            due_us = self.due_us(thread)
+            if due_us is None or due_us >= until_us:
+                done.append(thread)
+                continue
+            for taken in self._taken_virtually(thread, due_us):
+                if self.machine.tables.accepts[taken.place] and is_noting and taken.taken is not None:
+                    self.complete.append(taken.taken)
+                waiting.append(taken)
+        return done[::-1]
+
+    def due_us(self, thread: Thread) -> int | None:
+        """When the thread's next virtual row is due; None: it has set none."""
+        if self.timers is None:
+            return None
+        passed_us = self.times_us[thread.taken.row] if thread.taken is not None else 0
+        if thread.taken is not None and thread.taken.due_us is not None:
+            passed_us = thread.taken.due_us + 1
+        dues = [thread.registers[at] for at in self.timers.registers]
+        return min((due for due in dues if isinstance(due, int) and due >= passed_us), default=None)
+
+    def _taken_virtually(self, thread: Thread, due_us: int) -> list[Thread]:
+        assert self.timers is not None, "the rule has timers"
+        assert thread.taken is not None, "a row of the attempt has set it"
+        machine = self.machine
+        bits, values = self.timers.row(self.key, due_us)
+        taken = []
+        for target in machine.tables.follow[thread.place]:
+            mask = machine.masks[target]
+            registers = updated(thread.registers, machine.updates[target], values)
+            guard = machine.guards[target]
+            is_met = guard is None or guard(values, registers) is True
+            if self._is_timed(target) and bits & mask == mask and is_met:
+                row = Taken(thread.taken, thread.taken.row, self._variable(target), due_us)
+                taken.append(Thread(thread.start, target, registers, row))
+        return taken
+
+    def _not_due(self, thread: Thread, target: int, row: int) -> Shortfall:
+        """Why a real row is none that TIMER waits for: it came before the virtual row, and so ended the attempt."""
+        text = told(self._timer(target), "")
+        due_us = self.due_us(thread)
+        if due_us is None:
+            return Shortfall(text, "nothing that the attempt has taken sets the timer", 2.0)
+        early_us = due_us - self.times_us[row]
+        reason = f"due at {told_value(due_us, Kind.TIME)}; this row came {told_duration(early_us)} before"
+        return Shortfall(text, reason, early_us / (early_us + 60e6))
+
+    def _timer(self, target: int) -> Expr:
+        """The TIMER of a variable's condition."""
+        guard = self.bound.conditions[self.machine.tables.variables[target]].guard
+        assert guard is not None, "TIMER depends on the match"
+        return next(part for part in conjuncts(guard) if isinstance(part, Call) and part.op == "timer")
+
+    def _is_timed(self, target: int) -> bool:
+        return self.bound.timed[self.machine.tables.variables[target]]
 
     def _is_over(self, thread: Thread, row: int) -> bool:
         within_us = self.bound.within_us

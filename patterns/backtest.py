@@ -1,67 +1,81 @@
 """A backtest: the situations that a rule would have emitted over segments of the log, appending nothing.
 
-Contract: the segments come in order of position, each as one whole, as the processor gives them to a
-rule; so the drafts of its matches are, byte for byte, what the processor would have appended. A row before
-`since` does not exist for the rule: it is as if it had been deployed there. Knows no log: who calls
-it brings the segments.
+Contract: a pass of the processor with one rule, given segments in order of position; so the drafts of
+its matches are, byte for byte, what the processor would have appended. Who calls it brings the
+segments. What depends on the clock on the wall does not happen: no source falls idle.
 """
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import UTC, datetime
 from typing import Any
 
-import pyarrow as pa
-import pyarrow.compute as pc
-
-from events import (
-    Catalogue,
-    EventType,
-    ProcessFailed,
-    ProcessFinished,
-    Segment,
-    SituationDetected,
-    UnknownType,
-    decode,
-    events_of,
-    with_envelope,
-)
+from events import Catalogue, Segment, SituationDetected, UnknownType, decode, events_of
 from patterns.bound import BoundRule
 from patterns.errors import MatchError
-from patterns.running import Outcome, RuleRun
+from patterns.processor.deploying import Service
+from patterns.processor.limits import ProcessorLimits
+from patterns.processor.members import Finding, Member
+from patterns.processor.passes import CONTROL, Pass, SiteEvent
+from patterns.processor.saving import Mark
+from patterns.ruleset import RuleStatus
+from patterns.running import Outcome
 from patterns.site import SITE_TYPES
-from patterns.situations import Match
 
-_CONTROL: tuple[type[EventType], ...] = (*SITE_TYPES, ProcessFinished, ProcessFailed)
-CONTROL_TYPES = tuple(str(each.type_name) for each in _CONTROL)
+CONTROL_TYPES = tuple(str(each.type_name) for each in CONTROL)
 """What tells a rule of the cameras, and which sources have ended."""
+_NEVER = datetime(1970, 1, 1, tzinfo=UTC)
 
 
 class Backtest:
     """One rule over segments of the log."""
 
-    def __init__(self, bound: BoundRule, catalogue: Catalogue, since: datetime | None = None) -> None:
+    def __init__(
+        self,
+        bound: BoundRule,
+        catalogue: Catalogue,
+        *,
+        after: int = 0,
+        site: Iterable[SiteEvent] = (),
+        limits: ProcessorLimits | None = None,
+    ) -> None:
         """Begin where nothing has happened.
 
         Args:
             bound: The rule.
             catalogue: The event types there are.
-            since: Rows before this time take no part.
+            after: The position behind which the rule begins.
+            site: What the log up to there says of the cameras, in order.
+            limits: Those of the processor.
         """
-        self.run = RuleRun(bound)
-        self.segments_skipped = 0
-        """Segments of a version unknown here, which took no part."""
         self.site = bound.site.copy()
         """All that the log has said of the cameras so far."""
+        said = list(site)
+        rule = bound.rule
+        service = Service(rule.rule, rule.version, rule.hash, "", _NEVER, after, after)
+        self._member = Member(service, bound, Mark(after))
+        self._pass = Pass(after, catalogue, limits or ProcessorLimits(), said)
+        self._pass.add(self._member)
         self._catalogue = catalogue
-        self._since = since
+        for each in said:
+            self._learn(*each)
 
     @property
-    def types(self) -> tuple[str, ...]:
-        """The event types whose segments it wants."""
-        return (*sorted(self.run.input_types), *CONTROL_TYPES)
+    def row_types(self) -> list[str]:
+        """The event types that the rule reads."""
+        return sorted(self._member.types)
+
+    @property
+    def status(self) -> RuleStatus:
+        """How the rule stands."""
+        return self._pass.status(self._member)
+
+    @property
+    def segments_skipped(self) -> int:
+        """Segments of a version unknown here, which took no part."""
+        return self._pass.segments_skipped
 
     def take(self, segment: Segment) -> Outcome:
         """What this segment, the next in order of position, leads to.
@@ -69,35 +83,35 @@ class Backtest:
         Raises:
             PatternError: The rule cannot go on; online it would be set aside here.
         """
-        try:
-            batch = decode(segment, self._catalogue)
-        except UnknownType:
-            self.segments_skipped += 1
-            return Outcome()
-        source = segment.stream.source
-        if segment.stream.type in self.run.input_types:
-            return self.run.push(self._rows(with_envelope(segment.stream, segment.header.first_sequence, batch)))
-        matches: list[Match] = []
-        for sequence, event in enumerate(events_of(batch), segment.header.first_sequence):
-            if isinstance(event, SITE_TYPES):
-                self.run.learn(event, str(segment.stream), sequence)
-                self._learn(event, str(segment.stream), sequence)
-            elif isinstance(event, ProcessFinished | ProcessFailed):
-                matches += self.run.source_ended(source).matches
-        return Outcome(tuple(matches))
+        outcome = self._told(self._pass.take(segment))
+        if segment.stream.type in _SITE_TYPES:
+            self._learn_all(segment)
+        return outcome
 
     def settle(self) -> Outcome:
         """What follows from the log's holding no more."""
-        return self.run.settle()
+        return self._told(self._pass.settle())
 
-    def _learn(self, event: EventType, stream: str, sequence: int) -> None:
+    def _told(self, findings: Iterable[Finding]) -> Outcome:
+        outcome = Outcome()
+        for finding in findings:
+            outcome += finding.outcome
+        if self._member.failure is not None:
+            raise self._member.failure
+        return outcome
+
+    def _learn_all(self, segment: Segment) -> None:
+        with suppress(UnknownType):
+            events = events_of(decode(segment, self._catalogue))
+            for sequence, event in enumerate(events, segment.header.first_sequence):
+                self._learn(event, str(segment.stream), sequence)
+
+    def _learn(self, event: Any, stream: str, sequence: int) -> None:
         with suppress(MatchError):  # a rule that needs it has raised
             self.site.learn(event, stream, sequence)
 
-    def _rows(self, rows: pa.RecordBatch) -> pa.RecordBatch:
-        if self._since is None:
-            return rows
-        return rows.filter(pc.greater_equal(rows.column("time"), pa.scalar(self._since, rows.column("time").type)))
+
+_SITE_TYPES = frozenset(str(each.type_name) for each in SITE_TYPES)
 
 
 @dataclass(frozen=True, slots=True)

@@ -48,6 +48,7 @@ from patterns.syntax import (
     RowsPerMatch,
     Scalar,
 )
+from patterns.text import did_you_mean
 from patterns.titles import check_formats, title_fields
 
 PREDICATES_MOST = 63
@@ -176,7 +177,8 @@ class _Binder:
             if name in self.readable.columns:
                 return name
         have = ", ".join(sorted(self.readable.columns))
-        raise self.error(f"PARTITION BY: unknown column {column.name!r}; there are: {have}", column.at)
+        like = did_you_mean(column.name, self.readable.columns)
+        raise self.error(f"PARTITION BY: unknown column {column.name!r}; there are: {have}{like}", column.at)
 
     def check_order(self) -> None:
         """Checks that events stand in the one order that a rule has."""
@@ -281,7 +283,8 @@ class _Binder:
                 continue
             if name not in self.readable.columns:
                 have = ", ".join(sorted(known | set(self.readable.columns)))
-                raise self.rule.error(f"title: unknown name {{{name}}}; there are: {have}", "title")
+                like = did_you_mean(name, known | set(self.readable.columns))
+                raise self.rule.error(f"title: unknown name {{{name}}}; there are: {have}{like}", "title")
             value = Reference(None, "last", Column(name, self.readable.columns[name]))
             self.remember(value)
             outputs[name] = Output(name, value)

@@ -23,7 +23,7 @@ from patterns.expressions import Call, Column, Const, Expr, Kind, column_names, 
 from patterns.places import Places
 from patterns.rows import SEQUENCE, STREAM, TIME, StreamNumbers, normalised
 from patterns.syntax import Arm, Scalar
-from patterns.text import Passage
+from patterns.text import Passage, did_you_mean
 from patterns.typing_rules import as_float
 
 ENVELOPE = {
@@ -256,7 +256,7 @@ def _readable(arm: Arm, schemas: Mapping[str, pa.Schema], own: str, passage: Pas
         what = (
             f"unknown event type {name!r}" if is_type else f"no rule {arm.situation_of!r} whose situations can be read"
         )
-        raise passage.error(f"FROM: {what}; there are: {have}", arm.source_type.at)
+        raise passage.error(f"FROM: {what}; there are: {have}{did_you_mean(name, schemas)}", arm.source_type.at)
     readable, unreadable = dict(ENVELOPE), {}
     for column in schemas[name]:
         kind = kind_of(column.type)

@@ -20,7 +20,7 @@ from patterns.lists import file_values, is_file
 from patterns.parser import parse
 from patterns.rule import Rule
 from patterns.template import filled_in
-from patterns.text import Document, Passage
+from patterns.text import Document, Passage, did_you_mean
 
 FILE_SIZE_MOST = 1_000_000
 DEPTH_MOST = 20
@@ -243,7 +243,8 @@ def _pointed(error: ValidationError, passages: Mapping[KeyPath, Passage], whole:
     location = tuple(str(part) for part in first["loc"])
     shown = ".".join(part for part in location if not any(sign in part for sign in "[(")) or whole.__name__.lower()
     if first["type"] == "extra_forbidden":
-        message = f"unknown key; there are: {', '.join(_known_keys(location, whole))}"
+        known = _known_keys(location, whole)
+        message = f"unknown key; there are: {', '.join(known)}{did_you_mean(location[-1], known)}"
         location = (*location, "[key]")
     elif first["type"] == "missing":
         message = "this key is missing" + ("; write SQL there, or name a template" if location == ("match",) else "")

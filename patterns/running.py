@@ -151,6 +151,11 @@ class RuleRun:
         """How many rows are not final yet."""
         return sum(table.num_rows for table in self._waiting)
 
+    @property
+    def partial_matches(self) -> int:
+        """How many starts have come to no decision yet."""
+        return sum(len(state.partition.attempts) for state in self._engine.open.values())
+
     def set_frame_size(self, source: str, width: int, height: int) -> None:
         """The source's frames have this size in pixels, from the next step on."""
         self._site.frame_sizes[source] = (width, height)
@@ -293,7 +298,7 @@ class RuleRun:
         if self._clock.watermark_us is not None:
             is_late = np.asarray(rows.column(TIME)) < self._clock.watermark_us
             if is_late.any():
-                late = tuple(self._refs(rows.filter(pa.array(is_late))))
+                late = tuple(dict.fromkeys(self._refs(rows.filter(pa.array(is_late)))))  # of several arms, once
                 rows = rows.filter(pa.array(~is_late))
         self.counts.late += len(late)
         self.counts.rows += rows.num_rows

@@ -119,7 +119,8 @@ class _Translator:
             self.fail(f"column {name} has the Arrow type {self.scope.unreadable[name]}, which rules cannot read",
                       identifier)  # fmt: skip
         have = ", ".join(sorted(self.scope.columns))
-        raise self.error(f"unknown column {identifier.name!r}; there are: {have}", identifier)
+        like = did_you_mean(identifier.name, self.scope.columns)
+        raise self.error(f"unknown column {identifier.name!r}; there are: {have}{like}", identifier)
 
     def check_variable(self, node: exp.Expr) -> None:
         """Checks that what stands before the dot, if anything does, is a variable."""
@@ -127,13 +128,15 @@ class _Translator:
         if table is None or canonical_name(table.name, bool(table.args.get("quoted"))) in self.scope.frames:
             return
         have = ", ".join(self.scope.frames) or "none here"
-        self.fail(f"unknown pattern variable {table.name!r}; there are: {have}", table)
+        like = did_you_mean(table.name, self.scope.frames)
+        self.fail(f"unknown pattern variable {table.name!r}; there are: {have}{like}", table)
 
     def placeholder(self, node: exp.Expr) -> Expr:
         name = str(node.this or "")
         if name not in self.scope.params:
             have = ", ".join(sorted(self.scope.params)) or "none"
-            message = f"{self.scope.clause}: unknown parameter :{name}; params has: {have}"
+            like = did_you_mean(name, self.scope.params)
+            message = f"{self.scope.clause}: unknown parameter :{name}; params has: {have}{like}"
             raise self.scope.passage.error(message, self.param_offset(name))
         value = self.scope.params[name]
         if isinstance(value, tuple):
@@ -343,7 +346,8 @@ class _Translator:
             return self.on_ground(node, name)
         if name == "TIMER":
             return self.timer(node)
-        raise self.error(f"unknown function {node.this}; there are: {_FUNCTIONS_SHOWN}", node)
+        like = did_you_mean(str(node.this), _FUNCTIONS_SHOWN.split(", "))
+        raise self.error(f"unknown function {node.this}; there are: {_FUNCTIONS_SHOWN}{like}", node)
 
     def timer(self, node: exp.Expr) -> Expr:
         """Whether the row at hand is the virtual row that is due so long after the variable's last row."""

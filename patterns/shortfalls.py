@@ -135,6 +135,9 @@ class _Asked:
             return self.not_all_of(expr.operands, is_wanted)
         if isinstance(expr, OneOf):
             return self.one_of(expr, is_wanted)
+        if isinstance(expr, Call) and expr.op == "timer":
+            due = told_value(self.value(expr.operands[1]), Kind.TIME)
+            return f"it takes the virtual row of {due} alone", 1.0
         if isinstance(expr, Call) and expr.op == "is_null":
             shown = told_value(self.value(expr.operands[0]), expr.operands[0].kind)
             return f"{self.told(expr.operands[0])} is {shown}", 1.0

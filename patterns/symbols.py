@@ -88,6 +88,8 @@ class Symbols:
         for node in scalar.node.walk():
             if isinstance(node, exp.Query | exp.Exists | exp.Subquery) or node.args.get("query"):
                 self._fail(clause, "a sub-query must not stand here; join its result outside", node, scalar)
+            if isinstance(node, exp.Star) and not _is_counted(node):
+                self._fail(clause, "* stands in COUNT only", node, scalar)
             if isinstance(node, exp.Window):
                 self._fail(clause, "a window function must not stand here", node, scalar)
             if function_name(node) in unsteady_functions():
@@ -159,6 +161,12 @@ class Symbols:
 
     def _fail(self, clause: str, message: str, node: exp.Expr, scalar: Scalar) -> NoReturn:
         raise self.clause.passage.error(f"{clause}: {message}", offset_of(node, scalar.at))
+
+
+def _is_counted(star: exp.Star) -> bool:
+    """Whether it is that of COUNT(*), or of v.*, which whoever reads an aggregate judges."""
+    around = star.parent
+    return isinstance(around, exp.Column) or (around is not None and function_name(around) == "COUNT")
 
 
 def _literal(value: Any) -> exp.Expr:

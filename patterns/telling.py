@@ -122,6 +122,8 @@ def _told_call(expr: Call, variable: str) -> str:
         return _INFIX[expr.op].join(parts)
     if expr.op == "not":
         return f"NOT {parts[0]}"
+    if expr.op == "timer":
+        return f"TIMER({told(expr.operands[1], variable).replace(' + ', ', ')})"
     if expr.op == "neg":
         return f"-{parts[0]}"
     if expr.op == "is_null":

@@ -31,7 +31,7 @@ TIMER_STREAM = -1
 """The stream number of the event that decides a match where that is a virtual row."""
 ROW_TYPE = "timer"
 """What a virtual row says its type is."""
-_IS_VIRTUAL = 1 << 63
+IS_VIRTUAL = 1 << 63
 """The bit that virtual rows alone have: one more than predicates can."""
 
 
@@ -62,7 +62,7 @@ class TimedMatcher(Matcher):
         """Build a matcher; `timed` says of each variable whether its condition has TIMER."""
         self.timers = timers
         self.is_timed = tuple(timed[variable] for variable in machine.tables.variables)
-        marks = (_IS_VIRTUAL if each else 0 for each in self.is_timed)
+        marks = (IS_VIRTUAL if each else 0 for each in self.is_timed)
         super().__init__(replace(machine, masks=tuple(a | b for a, b in zip(machine.masks, marks, strict=True))))
 
     def due(self, partition: Partition) -> int | None:
@@ -105,7 +105,7 @@ class TimedMatcher(Matcher):
         partition.fired_us = time_us
         bits, values = self.timers.row(partition.key, time_us)
         event: Event = (TIMER_STREAM, 0, time_us)
-        row = _VirtualRow([bits | _IS_VIRTUAL], [event], [values], [])
+        row = _VirtualRow([bits | IS_VIRTUAL], [event], [values], [])
         self._step(partition.attempts, row, 0, partition.ordinal - 1)
         return self._resolved(partition.attempts, time_us, event)
 

@@ -6,7 +6,7 @@ it back. The answer names rows by stream and sequence.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
 from enum import StrEnum
 
@@ -80,6 +80,7 @@ class Past:
         decided: The rule's matches in the window, in the order in which they were decided.
         site: What the log said of the cameras.
         watermark: No row before this time is still expected; None: the input has ended, all is final.
+        newest: Time of the newest event of the input; None: that of the rows.
         is_cut_before: Whether there are earlier rows than those of the window.
         is_cut_after: Whether there are later ones.
     """
@@ -89,6 +90,7 @@ class Past:
     decided: Sequence[Decided] = ()
     site: Site = field(default_factory=Site)
     watermark: datetime | None = None
+    newest: datetime | None = None
     is_cut_before: bool = False
     is_cut_after: bool = False
 
@@ -347,7 +349,16 @@ class _Case:
         times_us = partition.table.column(TIME).to_pylist()
         is_whole = not self.past.is_cut_before
         has_ended = self.past.watermark is None and not self.past.is_cut_after
-        tries = Attempts(self.bound, self._evaluator(partition.table), times_us, self._at_us, is_whole, has_ended)
+        tries = Attempts(
+            bound=self.bound,
+            evaluator=self._evaluator(partition.table),
+            times_us=times_us,
+            near_us=self._at_us,
+            is_whole=is_whole,
+            has_ended=has_ended,
+            until_us=self._until_us(times_us),
+            key=tuple(partition.key.values()),
+        )
         known = {as_microseconds(each.match.first.time) for each in decided}
         # The first rows of a window only serve PREV of those behind them: what is before them is not here.
         begin = 0 if is_whole else min(self.bound.reach, len(times_us) - 1)
@@ -359,11 +370,22 @@ class _Case:
                 return answer
         if best is None:
             return self._none(partition)
+        due_us = tries.due_us(best.thread) if best.refused is None else None
+        if due_us is not None:
+            until = nearest_time(self._until_us(times_us))
+            self.notes.append(f"TIMER is due at {told_time(nearest_time(due_us))}; time has come to {told_time(until)}")
         return self._fell_short(best, partition)
+
+    def _until_us(self, times_us: Sequence[int]) -> int:
+        """How far time has come: up to the watermark, or up to and with the newest event."""
+        newest = self.past.watermark or self.past.newest
+        value = as_microseconds(newest) if newest is not None else times_us[-1]
+        assert isinstance(value, int)
+        return value if self.past.watermark is not None else value + 1
 
     def _complete(self, last: Taken, partition: _Partition, decided: Sequence[Decided]) -> Answer | None:
         """An attempt that came to a match which the rule did not find: why."""
-        rows = [partition.event(each.row) for each in last.rows()]
+        rows = [self._event(each, partition) for each in last.rows()]
         begin, end = rows[0].time, rows[-1].time
         if not begin <= self.question.at <= end + self.question.window / 2:
             return None
@@ -419,7 +441,12 @@ class _Case:
         )
 
     def _taken_rows(self, last: Taken, partition: _Partition) -> tuple[TriedRow, ...]:
-        return tuple(TriedRow(partition.event(each.row), each.variable) for each in last.rows())
+        return tuple(TriedRow(self._event(each, partition), each.variable) for each in last.rows())
+
+    def _event(self, taken: Taken, partition: _Partition) -> EventRef:
+        """The row's event; a virtual row is that which set it, at the time when it was due."""
+        event = partition.event(taken.row)
+        return event if taken.due_us is None else replace(event, time=nearest_time(taken.due_us))
 
     def _evaluator(self, table: pa.Table) -> ColumnEvaluator:
         return ColumnEvaluator(Rows(table, np.arange(table.num_rows, dtype=np.int64)), self.places)

@@ -143,7 +143,9 @@ def test_every_command_that_a_page_shows_can_be_given(page: str, line: str) -> N
     assert path is not None, f"{page} shows a command that there is not: {line}"
     before_the_rest = words[: words.index("--")] if "--" in words else words
     options = {word.split("=")[0] for word in before_the_rest if word.startswith("-")}
-    assert options <= {name for parameter in known[path].params for name in parameter.opts}, line
+    assert options <= {
+        name for parameter in known[path].params for name in (*parameter.opts, *parameter.secondary_opts)
+    }, line
 
 
 def test_commands_are_shown_at_all() -> None:

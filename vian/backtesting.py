@@ -6,11 +6,12 @@ Contract: reads both tiers of the log, only the types that the rule wants, and c
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
-from heapq import merge
 
 from events import Segment
 from patterns.backtest import CONTROL_TYPES, Backtest
 from patterns.bound import BoundRule
+from patterns.processor import ProcessorLimits
+from patterns.processor.passes import site_at
 from patterns.situations import Match
 from store import Log
 
@@ -22,13 +23,13 @@ class Span:
     Attributes:
         since: Situations from this time on; None: from the beginning.
         until: Situations before this time; None: to the end.
-        begin: Rows before this time do not exist, as for a rule that was deployed there; None: all exist.
+        after: The position behind which the rule begins, as one that was deployed there.
         sources: Only events of these sources exist; None: of all.
     """
 
     since: datetime | None = None
     until: datetime | None = None
-    begin: datetime | None = None
+    after: int = 0
     sources: Sequence[str] | None = None
 
     def shows(self, time: datetime) -> bool:
@@ -59,37 +60,51 @@ class Backtested:
     position: int = 0
 
 
-def backtested(log: Log, bound: BoundRule, span: Span, on_position: Callable[[int], None]) -> Backtested:
+def backtested(
+    log: Log, bound: BoundRule, span: Span, limits: ProcessorLimits, on_position: Callable[[int], None]
+) -> Backtested:
     """The situations that the rule would have emitted over the log as it stands.
 
     Args:
         log: The log.
         bound: The rule.
         span: Which part of the past.
+        limits: Those of the processor that would run it.
         on_position: Told how far the log has been read.
 
     Raises:
         PatternError: The rule cannot go on with these events.
     """
-    backtest = Backtest(bound, log.catalogue, span.begin)
+    backtest = backtest_after(log, bound, span.after, limits)
     result = Backtested()
     last_wanted: int | None = None
-    for segment in segments_of(log, bound, span):
+    for segment in segments_of(log, backtest, span):
         found = backtest.take(segment).matches
         result.matches += [each for each in found if span.shows(decided_at(each))]
         result.position = segment.position
         on_position(segment.position)
         if _has_come_to(backtest, span.until):
-            last_wanted = last_wanted or _last_position(log, bound, span, segment.position)
+            last_wanted = last_wanted or _last_position(log, backtest, span, segment.position)
             if segment.position >= last_wanted:
                 break
     else:
         result.matches += [each for each in backtest.settle().matches if span.shows(decided_at(each))]
-    counts = backtest.run.counts
-    result.rows, result.late, result.held_back = counts.rows, counts.late, backtest.run.held_back
-    result.waiting = backtest.run.rows_waiting
+    status = backtest.status
+    result.rows, result.late, result.held_back = status.counts.rows, status.counts.late, status.held_back
+    result.waiting = status.rows_waiting
     result.segments_skipped = backtest.segments_skipped
     return result
+
+
+def backtest_after(log: Log, bound: BoundRule, after: int, limits: ProcessorLimits) -> Backtest:
+    """A backtest of a rule that begins behind a position, and knows what the log said of the cameras before."""
+    return Backtest(bound, log.catalogue, after=after, site=site_at(log, after), limits=limits)
+
+
+def position_before(log: Log, types: Sequence[str], time: datetime) -> int:
+    """The position behind which all events of these types lie that happened at or after the time."""
+    first = next(iter(log.read_all(types=types, since=time)), None)
+    return log.head() if first is None else first.position - 1
 
 
 def decided_at(match: Match) -> datetime:
@@ -97,19 +112,20 @@ def decided_at(match: Match) -> datetime:
     return match.decided_at or match.last.time
 
 
-def segments_of(log: Log, bound: BoundRule, span: Span) -> Iterator[Segment]:
-    """What the rule is to see, in order of position; frame sizes and ends of sources from the log's beginning on."""
-    rows = log.read_all(types=sorted(bound.types), sources=span.sources, since=span.begin)
-    control = log.read_all(types=CONTROL_TYPES, sources=span.sources)
-    return merge(rows, control, key=lambda segment: segment.position)
+def segments_of(log: Log, backtest: Backtest, span: Span) -> Iterator[Segment]:
+    """What the rule is to see, in order of position."""
+    types = [*backtest.row_types, *CONTROL_TYPES]
+    return log.read_all(span.after + 1, types=types, sources=span.sources)
 
 
 def _has_come_to(backtest: Backtest, until: datetime | None) -> bool:
-    watermark = backtest.run.watermark
-    return until is not None and watermark is not None and watermark >= until
+    if until is None:
+        return False
+    watermark = backtest.status.watermark
+    return watermark is not None and watermark >= until
 
 
-def _last_position(log: Log, bound: BoundRule, span: Span, position: int) -> int:
+def _last_position(log: Log, backtest: Backtest, span: Span, position: int) -> int:
     """The last position from which a row before the span's end comes; the one at hand if there is none behind it."""
-    behind = log.read_all(position + 1, types=sorted(bound.types), sources=span.sources, until=span.until)
+    behind = log.read_all(position + 1, types=backtest.row_types, sources=span.sources, until=span.until)
     return max((segment.position for segment in behind), default=position)

@@ -7,7 +7,7 @@ tells what is what.
 
 import colorsys
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -68,6 +68,7 @@ class Drawing:
         dots: Rows in their order.
         marks: What to look at.
         captions: Lines of text below.
+        has_scale: Whether the edges bear shares of the picture (0 to 1), to read coordinates from.
     """
 
     size: tuple[int, int]
@@ -76,22 +77,26 @@ class Drawing:
     trail: Sequence[Point] = ()
     dots: Sequence[Dot] = ()
     marks: Sequence[Mark] = ()
-    captions: Sequence[str] = field(default_factory=tuple)
+    captions: Sequence[str] = ()
+    has_scale: bool = False
 
 
 def drawn(drawing: Drawing) -> Image:
     """The picture, with a strip of text below."""
     scale = max(1.0, WIDTH_MIN_PX / drawing.size[0])
     canvas = _background(drawing, scale)
+    labels = _Labels(canvas)
+    if drawing.has_scale:
+        _draw_scale(labels)
     for shape in drawing.shapes:
-        _draw_shape(canvas, shape, scale)
+        _draw_shape(labels, shape, scale)
     _draw_way(canvas, drawing.trail, scale, (215, 215, 215), 2)
     colours = _colours(drawing.dots)
     _draw_way(canvas, [dot.at for dot in drawing.dots], scale, _WHITE, 1)
     for dot in drawing.dots:
         _draw_dot(canvas, dot, scale, colours[dot.label])
     for mark in drawing.marks:
-        _draw_mark(canvas, mark, scale)
+        _draw_mark(labels, mark, scale)
     return np.vstack([canvas, _strip(canvas.shape[1], drawing, colours)])
 
 
@@ -119,13 +124,50 @@ def _background(drawing: Drawing, scale: float) -> Image:
     return np.asarray(enlarged, np.uint8)
 
 
-def _draw_shape(canvas: Image, shape: Shape, scale: float) -> None:
+class _Labels:
+    """Texts on a picture, none over another: with a dark rim, and moved so that they lie within it."""
+
+    def __init__(self, canvas: Image) -> None:
+        self.canvas = canvas
+        self._taken: list[tuple[int, int, int, int]] = []
+
+    def write(self, text: str, at: tuple[int, int], colour: Colour) -> None:
+        """Write the text with its lower left corner here, or as near below it as there is room."""
+        text = _ascii(text)
+        (width, height), _ = cv2.getTextSize(text, _FONT, _TEXT_SCALE, 1)
+        x = max(4, min(at[0], self.canvas.shape[1] - width - 4))
+        y = max(height + 4, min(at[1], self.canvas.shape[0] - 6))
+        while self._is_taken(x, y, width, height) and y + _LINE_PX < self.canvas.shape[0]:
+            y += _LINE_PX
+        self._taken.append((x, y - height, x + width, y))
+        cv2.putText(self.canvas, text, (x, y), _FONT, _TEXT_SCALE, _BLACK, 3, cv2.LINE_AA)
+        cv2.putText(self.canvas, text, (x, y), _FONT, _TEXT_SCALE, colour, 1, cv2.LINE_AA)
+
+    def _is_taken(self, x: int, y: int, width: int, height: int) -> bool:
+        return any(
+            x < right and left < x + width and y - height < low and top < y for left, top, right, low in self._taken
+        )
+
+
+def _draw_scale(labels: _Labels) -> None:
+    """Shares of the picture along its upper and left edge."""
+    height, width = labels.canvas.shape[:2]
+    for tenth in range(1, 10):
+        x, y = width * tenth // 10, height * tenth // 10
+        cv2.line(labels.canvas, (x, 0), (x, 8), _WHITE, 1)
+        cv2.line(labels.canvas, (0, y), (8, y), _WHITE, 1)
+        labels.write(f"{tenth / 10:g}", (x - 10, 24), _WHITE)
+        labels.write(f"{tenth / 10:g}", (12, y + 5), _WHITE)
+
+
+def _draw_shape(labels: _Labels, shape: Shape, scale: float) -> None:
+    canvas = labels.canvas
     points = np.array([_px(point, scale) for point in shape.points], np.int32)
     cv2.polylines(canvas, [points], shape.is_zone, _YELLOW, 2, cv2.LINE_AA)
     if not shape.is_zone:
         _draw_arrow(canvas, shape.points, scale)
     top = min(shape.points, key=lambda point: point[1])
-    _draw_text(canvas, shape.name, _px(top, scale), _YELLOW)
+    labels.write(shape.name, _px(top, scale), _YELLOW)
 
 
 def _draw_arrow(canvas: Image, points: Sequence[Point], scale: float) -> None:
@@ -152,19 +194,10 @@ def _draw_dot(canvas: Image, dot: Dot, scale: float, colour: Colour) -> None:
     cv2.circle(canvas, _px(dot.at, scale), 5, _BLACK, 1, cv2.LINE_AA)
 
 
-def _draw_mark(canvas: Image, mark: Mark, scale: float) -> None:
+def _draw_mark(labels: _Labels, mark: Mark, scale: float) -> None:
     x, y = _px(mark.at, scale)
-    cv2.drawMarker(canvas, (x, y), _RED, cv2.MARKER_TILTED_CROSS, 22, 3, cv2.LINE_AA)
-    _draw_text(canvas, mark.text, (x + 14, y - 8), _WHITE)
-
-
-def _draw_text(canvas: Image, text: str, at: tuple[int, int], colour: Colour) -> None:
-    """The text with a dark rim, moved so that it lies within the picture."""
-    (width, height), _ = cv2.getTextSize(_ascii(text), _FONT, _TEXT_SCALE, 1)
-    x = max(4, min(at[0], canvas.shape[1] - width - 4))
-    y = max(height + 4, min(at[1], canvas.shape[0] - 6))
-    cv2.putText(canvas, _ascii(text), (x, y), _FONT, _TEXT_SCALE, _BLACK, 3, cv2.LINE_AA)
-    cv2.putText(canvas, _ascii(text), (x, y), _FONT, _TEXT_SCALE, colour, 1, cv2.LINE_AA)
+    cv2.drawMarker(labels.canvas, (x, y), _RED, cv2.MARKER_TILTED_CROSS, 22, 3, cv2.LINE_AA)
+    labels.write(mark.text, (x + 14, y - 8), _WHITE)
 
 
 def _strip(width: int, drawing: Drawing, colours: dict[str, Colour]) -> Image:

@@ -13,6 +13,7 @@ import pyarrow as pa
 import structlog
 
 from events import (
+    Catalogue,
     Draft,
     EventBatch,
     ProcessFailed,
@@ -27,6 +28,7 @@ from events import (
     decode,
     encode,
     events_of,
+    schema_of,
     with_envelope,
 )
 from patterns.errors import PatternError, StateError
@@ -60,6 +62,21 @@ def stages_of(paths: Sequence[Path]) -> list[Stage]:
     if twice:
         raise WrongUsage(f"two stages are named {twice[0]}. Next: rename one")
     return stages
+
+
+def check_fits(stage: Stage, catalogue: Catalogue) -> None:
+    """Nothing, if the stage reads an event type and columns that there are.
+
+    Raises:
+        RuleError: It does not; at its place in the file.
+    """
+    if stage.reads not in catalogue:
+        have = ", ".join(sorted(str(each.type_name) for each in catalogue))
+        raise stage.error(f"unknown event type {stage.reads!r}; there are: {have}", stage.derives, "of")
+    columns = {*schema_of(catalogue.newest(stage.reads)).names, "subject", "station"}
+    if stage.tally is not None and stage.tally.by is not None and stage.tally.by not in columns:
+        have = ", ".join(sorted(columns))
+        raise stage.error(f"unknown column {stage.tally.by!r} of {stage.reads}; there are: {have}", "tally", "by")
 
 
 def deploy_stages(log: Log, station: str, stages: Sequence[Stage]) -> list[Stage]:
@@ -110,9 +127,7 @@ class StageFollower:
         Raises:
             PatternError: It reads an event type that there is not.
         """
-        if stage.reads not in log.catalogue:
-            have = ", ".join(sorted(str(each.type_name) for each in log.catalogue))
-            raise stage.error(f"unknown event type {stage.reads!r}; there are: {have}", stage.derives, "of")
+        check_fits(stage, log.catalogue)
         self.stage = stage
         self.failure: PatternError | None = None
         """Why it was set aside; None: it runs."""
@@ -186,7 +201,14 @@ class StageFollower:
             logger.warning("a stage leaves a segment out", position=segment.position, error=str(error))
             return ()
         if segment.stream.type == self.stage.reads:
-            return self._run.push(with_envelope(segment.stream, segment.header.first_sequence, batch)).derived
+            over = self._run.given_up
+            outcome = self._run.push(with_envelope(segment.stream, segment.header.first_sequence, batch))
+            if outcome.late or self._run.given_up > over:
+                logger.warning(
+                    "a stage goes without some events", stage=self.stage.stage, position=segment.position,
+                    late=outcome.late, over_a_limit=self._run.given_up - over,
+                )  # fmt: skip
+            return outcome.derived
         source = str(segment.stream.source)
         derived: list[Derived] = []
         for event in events_of(batch):

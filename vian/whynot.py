@@ -13,20 +13,19 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from events import Segment, UnknownType, decode, with_envelope
-from patterns.backtest import Backtest
 from patterns.bound import BoundRule
 from patterns.durations import MICROSECOND
 from patterns.emitter import Emitter
-from patterns.processor import schemas
+from patterns.processor import ProcessorLimits, schemas
 from patterns.rule import EmitSettings
 from patterns.situations import Match, as_microseconds
 from patterns.telling import told_time
 from patterns.whynot import Decided, Past, Question
 from store import Log
-from vian.backtesting import Span, decided_at, segments_of
+from vian.backtesting import Span, backtest_after, decided_at, position_before, segments_of
 
 
-def past_of(log: Log, bound: BoundRule, question: Question) -> Past:
+def past_of(log: Log, bound: BoundRule, question: Question, limits: ProcessorLimits) -> Past:
     """What is known of the time around the question.
 
     Raises:
@@ -34,24 +33,28 @@ def past_of(log: Log, bound: BoundRule, question: Question) -> Past:
     """
     begin, end = _window(question)
     whole = replace(bound, rule=bound.rule.model_copy(update={"emit": EmitSettings()}))
-    backtest = Backtest(whole, log.catalogue, _earlier(begin, _lead(bound, question)))
+    after = position_before(log, sorted(bound.types), _earlier(begin, _lead(bound, question)))
+    backtest = backtest_after(log, whole, after, limits)
     batches: list[pa.Table] = []
     matches: list[Match] = []
     late: set[tuple[str, int]] = set()
     is_cut_after = False
-    for segment in segments_of(log, bound, Span(begin=_earlier(begin, _lead(bound, question)))):
+    newest: datetime | None = None
+    for segment in segments_of(log, backtest, Span(after=after)):
         outcome = backtest.take(segment)
         matches += outcome.matches
         late |= {(each.stream, each.sequence) for each in outcome.late if begin <= each.time <= end}
         if segment.stream.type in bound.types:
             batches += _rows(log, segment, begin, end)
             is_cut_after |= segment.header.time_max > end
+            newest = segment.header.time_max if newest is None else max(newest, segment.header.time_max)
     return Past(
         rows=pa.concat_tables(batches, promote_options="default") if batches else _nothing(log, bound),
         late=frozenset(late),
         decided=[each for each in _decided(bound, matches) if _is_near(each.match, begin, end)],
         site=backtest.site,
-        watermark=backtest.run.watermark,
+        watermark=backtest.status.watermark,
+        newest=newest,
         is_cut_before=any(True for _ in _earlier_segments(log, bound, begin)),
         is_cut_after=is_cut_after,
     )

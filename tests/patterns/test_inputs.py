@@ -1,9 +1,12 @@
 """FROM: several event types in one pattern, projected and filtered, united by name."""
 
+from itertools import groupby
 from typing import Any
 
 import pyarrow as pa
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from patterns import MatchError, RuleRun, bind, match, parse_rule, run_tests
 from tests.patterns.samples import BEGINNING, SCHEMAS, letter_rows
@@ -158,3 +161,45 @@ match: |
     (found,) = run.push(points([{"us": 15_000_001, "track_id": 1, "x": 0}])).matches
     assert (found.measures["missed_at"] - BEGINNING).total_seconds() == 15
     assert run.counts.rows == 2
+
+
+@st.composite
+def mixed(draw: st.DrawFn) -> list[dict[str, Any]]:
+    """Letters and track points of two keys and sources in order of time, with ties."""
+    steps = st.tuples(
+        st.sampled_from([0, 1, 2, 5]), st.sampled_from(["letter", "track_point"]), st.integers(1, 2),
+        st.integers(-1, 4), st.sampled_from(["cam-01", "cam-02"]), st.integers(0, 2),
+    )  # fmt: skip
+    us, rows = 0, []
+    for sequence, (step, kind, key, value, source, delay) in enumerate(draw(st.lists(steps, max_size=14))):
+        us += step
+        row = {"us": us, "type": kind, "sequence": sequence, "source": source, "delay": delay, "key": key, "n": value}
+        rows.append(row | {"track_id": key, "x": float(value)})
+    return rows
+
+
+def both(rows: list[dict[str, Any]]) -> list[pa.Table]:
+    """The rows as batches of one type each, in order."""
+    runs = [list(run) for _, run in groupby(rows, key=lambda row: row["type"])]
+    return [points(run) if run[0]["type"] == "track_point" else letter_rows(run) for run in runs]
+
+
+@settings(max_examples=50, deadline=None)
+@given(rows=mixed(), restarts=st.sets(st.integers(0, 8)))
+def test_arms_online_give_what_they_give_in_batch(rows: list[dict[str, Any]], restarts: set[int]) -> None:
+    bound = bind(parse_rule(BOTH), PLATES)
+    whole = RuleRun(bound)
+    for table in both(rows):
+        whole.hold(table)
+    wanted = list(whole.finish().matches)
+    run = RuleRun(bound)
+    found = []
+    for index, table in enumerate(both(sorted(rows, key=lambda row: row["us"] + row["delay"]))):
+        outcome = run.push(table)
+        assert outcome.late == ()
+        found += outcome.matches
+        if index in restarts:
+            state = run.state()
+            run = RuleRun(bound)
+            run.restore(state)
+    assert [*found, *run.finish().matches] == wanted

@@ -5,7 +5,8 @@ from collections.abc import Sequence
 import pytest
 
 from patterns import load_rules, parse_rule
-from patterns.lint import Finding, check, lint
+from patterns.findings import Finding
+from patterns.lint import check, lint
 from patterns.rule import Rule
 from tests.patterns.samples import SCHEMAS
 from tests.patterns.test_shipped_rules import FOLDER

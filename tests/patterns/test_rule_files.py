@@ -52,6 +52,7 @@ def test_a_rule_file_says_all_of_it() -> None:
     [
         ("severity: warning", "severity: severe", "4:11", "should be 'info', 'warning' or 'alarm', got 'severe'"),
         ("severity: warning", "severitty: warning", "4:1", "severitty: unknown key; there are: emit, lines, match"),
+        ("severity: warning", "severitty: warning", "4:1", "did you mean 'severity'?"),
         ("severity: warning\n", "", "1:1", "severity: this key is missing"),
         ("version: 3", "version: three", "2:10", "version: Input should be a valid integer"),
         ("version: 3", "version: 0", "2:10", "version: Input should be greater than or equal to 1"),
@@ -72,6 +73,10 @@ def test_a_rule_file_says_all_of_it() -> None:
         ("params: {dwell: 10 s", "params: {1: 10 s", "8:10", "params.1"),
         ("once_per: [key]", "once_per: [kay]", "10:18", "once_per: 'kay' is neither a partition column nor a measure"),
         ("{subject}", "{subjekt}", "3:9", "title: unknown name {subjekt}; there are: flag"),
+        ("{subject}", "{subjekt}", "3:9", "; did you mean 'subject'?"),
+        ("FROM letter", "FROM lettre", "13:17", "unknown event type 'lettre'; there are: letter, track_point; did"),
+        ("BY key", "BY kay", "14:18", "PARTITION BY: unknown column 'kay'; there are: "),
+        ("BY key", "BY kay", "14:18", "; did you mean 'key'?"),
         ("{subject}", "{subject", "3:9", "title:"),
         ("{subject}", "{subject:>9999999999}", "3:9", "title: a width or precision has at most 3 digits"),
         ("{subject}", "{subject.upper}", "3:9", "title: wanted {name} or {name:format}, got {subject.upper}"),

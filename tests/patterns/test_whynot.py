@@ -251,3 +251,50 @@ def test_a_subject_of_two_sources_is_asked_back() -> None:
     ):
         asked(loitering(), table)
     assert asked(loitering(), table, source="gate").partition == {"source": "gate", "track_id": 7}
+
+
+ABSENCE = """
+rule: alone
+version: 1
+title: "track {track_id} came and nothing followed"
+severity: warning
+zones: {yard: {source: gate, polygon: [[0.5, 0], [1, 0], [1, 1], [0.5, 1]]}}
+match: |
+  SELECT * FROM track_point MATCH_RECOGNIZE (
+    PARTITION BY source, track_id ORDER BY time, sequence
+    MEASURES overdue.time AS at
+    PATTERN (came overdue) WITHIN INTERVAL '1' MINUTE
+    DEFINE came AS in_zone(came.x, came.y, 'yard'), overdue AS TIMER(came.time, INTERVAL '10' SECOND))
+"""
+
+
+def alone() -> BoundRule:
+    return bind(parse_rule(ABSENCE), SCHEMAS, SIZES)
+
+
+def test_a_row_that_came_before_the_timer_was_due_is_told_with_how_much_before() -> None:
+    answer = asked(alone(), rows([(0, 60), (8.5, 20), (30, 20)]), second=5)
+    assert answer.verdict is Verdict.FELL_SHORT
+    assert [each.variable for each in answer.taken] == ["came"]
+    assert answer.nearest is not None
+    assert answer.nearest.shortfalls == (
+        "TIMER(came.time, 10 s): due at 2026-01-01T10:00:10Z; this row came 1.5 s before",
+    )
+
+
+def test_a_timer_that_time_has_not_come_to_is_told() -> None:
+    answer = asked(alone(), rows([(0, 20), (5, 60)]), second=5, watermark=BEGINNING + timedelta(seconds=6))
+    assert answer.verdict is Verdict.STILL_OPEN
+    assert answer.notes[0] == "TIMER is due at 2026-01-01T10:00:15Z; time has come to 2026-01-01T10:00:06Z"
+
+
+def test_a_virtual_row_is_told_at_the_time_when_it_was_due() -> None:
+    table = rows([(0, 60), (30, 20)])
+    question = Question(BEGINNING + timedelta(seconds=5), "7", None, timedelta(minutes=1))
+    answer = why_not(alone(), question, Past(table, site=Site.of(SIZES), watermark=BEGINNING + timedelta(seconds=20)))
+    assert answer.verdict is Verdict.NOT_FINAL
+    assert [(each.variable, each.event.sequence, each.event.time) for each in answer.taken] == [
+        ("came", 1, BEGINNING),
+        ("overdue", 1, BEGINNING + timedelta(seconds=10)),
+    ]
+    assert asked(alone(), table, second=5).verdict is Verdict.MATCHED

@@ -112,7 +112,17 @@ def test_stages_and_rules_lie_side_by_side(tmp_path: Path) -> None:
     assert files_of([tmp_path], with_stages=True) == [tmp_path / "a.yaml", tmp_path / "b.yaml"]
 
 
-def test_a_stage_of_an_unknown_event_type_is_refused_at_its_place(log: Log) -> None:
-    stage = parse_stage("stage: a\nversion: 1\ntally: {of: nothing, window: 1 h}\n", "a.yaml")
-    with pytest.raises(PatternError, match=r"a.yaml:3:13: unknown event type 'nothing'; there are: activity_interval"):
+@pytest.mark.parametrize(
+    ("settings", "wanted"),
+    [
+        ("{of: nothing, window: 1 h}", "3:13: unknown event type 'nothing'; there are: activity_interval"),
+        (
+            "{of: track_ended, window: 1 h, by: color}",
+            "3:43: unknown column 'color' of track_ended; there are: began",
+        ),
+    ],
+)
+def test_a_stage_over_what_there_is_not_is_refused_at_its_place(log: Log, settings: str, wanted: str) -> None:
+    stage = parse_stage(f"stage: a\nversion: 1\ntally: {settings}\n", "a.yaml")
+    with pytest.raises(PatternError, match=f"a.yaml:{wanted}"):
         StageFollower(log, STATION, stage)

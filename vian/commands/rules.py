@@ -10,7 +10,8 @@ import typer
 from events import load_catalogue
 from patterns.cases import TestResult, run_tests
 from patterns.errors import RuleError
-from patterns.lint import Finding, check, finding_of
+from patterns.findings import Finding, finding_of
+from patterns.lint import check
 from patterns.loading import load_rule
 from patterns.processor import Processor, schemas
 from patterns.rule import Rule
@@ -18,7 +19,15 @@ from patterns.strata import with_situations
 from store import Projector
 from vian import options
 from vian.clock import utc_now
-from vian.commands import rules_backtest, rules_explain, rules_flink, rules_service, rules_why_not, rules_write
+from vian.commands import (
+    rules_backtest,
+    rules_explain,
+    rules_flink,
+    rules_profile,
+    rules_service,
+    rules_why_not,
+    rules_write,
+)
 from vian.errors import WorldFailed, WrongUsage
 from vian.options import opened, settings_for
 from vian.output import Output
@@ -139,5 +148,13 @@ def run(
         raise WorldFailed(f"rules were set aside: {reasons}")
 
 
-for _module in (rules_write, rules_backtest, rules_explain, rules_why_not, rules_service, rules_flink):
+for _module in (
+    rules_write,
+    rules_backtest,
+    rules_explain,
+    rules_why_not,
+    rules_profile,
+    rules_service,
+    rules_flink,
+):
     _module.register(app)

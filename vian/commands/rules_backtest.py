@@ -3,7 +3,8 @@
 import json
 import sys
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from datetime import datetime
 from typing import Annotated, Any
 
@@ -11,21 +12,23 @@ import pyarrow as pa
 import pyarrow.csv
 import typer
 
-from events import SituationDetected
+from events import SituationDetected, SituationShadowed, decode, events_of
 from patterns.backtest import Pair, paired
 from patterns.binder import bind
 from patterns.bound import BoundRule
-from patterns.processor import SOURCE, readable_by, situation_of
+from patterns.processor import SOURCE, ProcessorLimits, readable_by, situation_of
+from patterns.processor.writing import producer_of
 from patterns.rule import Rule
 from patterns.situations import Match
 from store import Log
 from vian import options
 from vian.backtesting import Backtested, Span, backtested
 from vian.chosen_rule import chosen_rule, other_version
+from vian.commands.rules_service import position_behind
 from vian.errors import WrongUsage
 from vian.options import check_known, opened, settings_for, time_of
 from vian.output import Output
-from vian.rules import misplaced
+from vian.rules import limits_of, misplaced
 
 RuleName = Annotated[str, typer.Argument(metavar="RULE", help="A rule file, or a deployed rule: NAME or NAME@VERSION.")]
 _COLUMNS = ("decided", "began", "partition", "measures", "title")
@@ -46,8 +49,9 @@ def backtest(
         str | None,
         typer.Option(
             "--from",
-            help="As if the rule had been deployed at this time: events before it do not exist. Faster on a long log.",
-            show_default="the log's beginning",
+            metavar="beginning|TIME",
+            help="As if deployed from there, as with vian rules deploy --from; faster on a long log.",
+            show_default="beginning",
         ),
     ] = None,
     against: Annotated[
@@ -66,38 +70,41 @@ def backtest(
 ) -> None:
     """Show which situations a rule would have found in the log: byte for byte what it emits online. Appends nothing."""
     settings = settings_for(data_dir, dsn, station=station)
-    span = _span(since, until, begin, source)
+    span = _span(since, until, source)
     if as_csv and as_json:
         raise WrongUsage("give either --csv or --json, got both")
     output = Output(is_json=as_json)
+    limits = limits_of(settings)
     with opened(settings, data_dir=data_dir) as log:
         check_known("source", source, {head.stream.source for head in log.streams()})
+        if begin is not None:
+            span = replace(span, after=position_behind(log, begin))
         one = chosen_rule(log, rule)
         other = None if against is None else other_version(log, one, against)
-        first = _events(_ran(log, one, span, output))
+        first = _events(_ran(log, one, span, limits, output))
         if other is None:
-            _show_all(first, settings.station, output, as_csv)
+            recorded = {} if as_csv or as_json else _recorded(log, one)
+            _show_all(first, settings.station, recorded, output, as_csv)
         else:
-            second = _events(_ran(log, other, span, output))
+            second = _events(_ran(log, other, span, limits, output))
             names = (_label(one), _label(other))
             _show_difference(paired([e for _, e in first], [e for _, e in second]), names, output, as_csv)
 
 
-def _span(since: str | None, until: str | None, begin: str | None, sources: list[str] | None) -> Span:
-    span = Span(time_of("--since", since), time_of("--until", until), time_of("--from", begin), sources)
-    for name, time in (("--since", span.since), ("--from", span.begin)):
-        if time is not None and span.until is not None and time >= span.until:
-            raise WrongUsage(f"{name} must be before --until, got {time.isoformat()} and {span.until.isoformat()}")
+def _span(since: str | None, until: str | None, sources: list[str] | None) -> Span:
+    span = Span(time_of("--since", since), time_of("--until", until), sources=sources)
+    if span.since is not None and span.until is not None and span.since >= span.until:
+        raise WrongUsage(f"--since must be before --until, got {span.since.isoformat()} and {span.until.isoformat()}")
     return span
 
 
-def _ran(log: Log, rule: Rule, span: Span, output: Output) -> Backtested:
+def _ran(log: Log, rule: Rule, span: Span, limits: ProcessorLimits, output: Output) -> Backtested:
     """What came of the rule, with remarks on what else is worth knowing on standard error."""
     bound = bind(rule, readable_by(log, rule))
     for remark in misplaced(log, [rule]):
         output.note(f"warning: {remark}")
     with output.progress(_label(rule), float(log.head())) as bar:
-        result = backtested(log, bound, span, bar.at)
+        result = backtested(log, bound, span, limits, bar.at)
     _remark(bound, result, span.until is None, output)
     return result
 
@@ -127,7 +134,25 @@ def _source(match: Match) -> str:
     return str(match.partition.get("source") or SOURCE)
 
 
-def _show_all(found: Sequence[tuple[str, SituationDetected]], station: str, output: Output, as_csv: bool) -> None:
+def _recorded(log: Log, rule: Rule) -> dict[str, str]:
+    """How the situations of the rule that the log has were recorded, by identity."""
+    how = {SituationDetected: "yes", SituationShadowed: "in shadow"}
+    return {
+        event.situation: how[type(event)]
+        for segment in log.read_all(types=[each.type_name for each in how])
+        if segment.header.producer == producer_of(rule)
+        for event in events_of(decode(segment, log.catalogue))
+        if isinstance(event, SituationDetected | SituationShadowed)
+    }
+
+
+def _show_all(
+    found: Sequence[tuple[str, SituationDetected]],
+    station: str,
+    recorded: Mapping[str, str],
+    output: Output,
+    as_csv: bool,
+) -> None:
     place = {"station": station, "type": str(SituationDetected.type_name)}
     rows = [{**place, "source": source, **event.model_dump(mode="json")} for source, event in found]
     if as_csv:
@@ -136,7 +161,8 @@ def _show_all(found: Sequence[tuple[str, SituationDetected]], station: str, outp
         for row in rows:
             output.result(row)
     else:
-        output.table("", _COLUMNS, [_cells(event) for _, event in found])
+        rows_shown = [(*_cells(event), recorded.get(event.situation, "no")) for _, event in found]
+        output.table("", (*_COLUMNS, "in the log"), rows_shown)
         output.line(f"{len(found)} situations")
 
 

@@ -92,7 +92,7 @@ def deploy_rules(
             log,
             settings.station,
             rules,
-            after="default" if begin is None else _position(log, begin),
+            after="default" if begin is None else position_behind(log, begin),
             open_matches=retiring.open_matches,
             is_shadow=shadow,
         )
@@ -152,7 +152,7 @@ def status(
             output.note(f"Next: vian rules deploy FILE brings it back, behind position {gone.position}")
 
 
-def _position(log: Log, begin: str) -> int:
+def position_behind(log: Log, begin: str) -> int:
     """The position behind which rules begin."""
     if begin == "beginning":
         return 0

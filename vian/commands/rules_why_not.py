@@ -23,6 +23,7 @@ from vian.commands.rules_backtest import RuleName
 from vian.errors import WrongUsage
 from vian.options import check_known, opened, settings_for, time_of
 from vian.output import Output
+from vian.rules import limits_of
 from vian.whynot import past_of, spans_of
 
 Draw = Annotated[Path | None, typer.Option("--draw", metavar="FILE", help="Also draw it on the video's frame, as PNG.")]
@@ -57,12 +58,13 @@ def why_not_fired(
     output = Output(is_json=as_json)
     time = time_of("--at", at)
     assert time is not None, "it was given"
-    with opened(settings_for(data_dir, dsn), data_dir=data_dir) as log:
+    settings = settings_for(data_dir, dsn)
+    with opened(settings, data_dir=data_dir) as log:
         check_known("source", None if source is None else [source], {head.stream.source for head in log.streams()})
         chosen = chosen_rule(log, rule)
         bound = bind(chosen, readable_by(log, chosen))
         question = Question(time, subject, source, _duration(window) or default_window(bound))
-        past = past_of(log, bound, question)
+        past = past_of(log, bound, question, limits_of(settings))
         answer = _answered(log, bound, question, past)
         _show(bound, question, answer, output)
         if draw is not None:

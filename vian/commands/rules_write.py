@@ -14,7 +14,7 @@ from events import load_catalogue
 from patterns.cases import TestResult, run_tests
 from patterns.errors import PatternError, RuleError
 from patterns.expanding import expand
-from patterns.lint import Finding, finding_of
+from patterns.findings import Finding, finding_of
 from patterns.lint import lint as lint_rules
 from patterns.loading import is_stage_file, load_rule, parse_rule
 from patterns.processor import schemas

@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from events import load_catalogue
 from patterns.errors import RuleError
 from patterns.stages import run_stage_tests
 from store import Projector
@@ -15,7 +16,7 @@ from vian.errors import WorldFailed, WrongUsage
 from vian.options import opened, settings_for
 from vian.output import Output
 from vian.parts import Parts, stepping
-from vian.staging import StageFollower, deploy_stages, stages_of
+from vian.staging import StageFollower, check_fits, deploy_stages, stages_of
 
 app = typer.Typer(help="Derive relations between objects, and counts over time, as events for rules.",
                   no_args_is_help=True)  # fmt: skip
@@ -30,6 +31,8 @@ def check_stages(paths: Paths, as_json: options.Json = False) -> None:
     output = Output(is_json=as_json)
     try:
         stages = stages_of(paths)
+        for stage in stages:
+            check_fits(stage, load_catalogue())
     except RuleError as error:
         raise WrongUsage(str(error)) from error
     if not stages:

@@ -217,5 +217,5 @@ def _drawn(log: Log, station: str, source: str, file: Path) -> tuple[int, str]:
         shapes.append(Shape(each.name, [(float(x), float(y)) for x, y in points], isinstance(each.shape, Zone)))
     captions = [f"{source}: {len(shapes)} zones and lines"]
     captions += [f"in metres, not drawn: {', '.join(left_out)}"] if left_out else []
-    write_png(drawn(Drawing(size, footage.picture, shapes, captions=captions)), file)
+    write_png(drawn(Drawing(size, footage.picture, shapes, captions=captions, has_scale=True)), file)
     return len(shapes), footage.missing

@@ -128,10 +128,7 @@ def of_situation(log: Log, identity: str) -> Selection:
     selection = Selection({"situation": event.situation})
     selection.situation = {"stream": str(found.segment.stream), "sequence": found.sequence, **_said(event)}
     selection.want_event(found, "the situation")
-    for each in event.lineage:
-        stream = StreamName.parse(each.stream)
-        epoch = epoch_of(log, stream, found.segment, each.last_sequence)
-        selection.want(stream, epoch, each.first_sequence, each.last_sequence, f"lineage: {each.variable}")
+    _want_lineage(log, selection, found, set())
     for lineage in [each for each in selection.wanted if each.why[0].startswith("lineage")]:
         _want_origin(log, selection, lineage)
     _want_rule(log, selection, event)
@@ -184,6 +181,27 @@ def _situation(log: Log, identity: str) -> Found:
             f"{what} with {identity!r}. Next: vian tail --type situation_detected, and give more of the field situation"
         )
     return hits[0]
+
+
+def _want_lineage(log: Log, selection: Selection, found: Found, seen: set[str]) -> None:
+    """Want the events of the lineage; of situations among them, their lineage and their rules, too."""
+    event = found.event
+    assert isinstance(event, SituationDetected), "it was looked for"
+    seen.add(event.situation)
+    for each in event.lineage:
+        stream = StreamName.parse(each.stream)
+        epoch = epoch_of(log, stream, found.segment, each.last_sequence)
+        selection.want(stream, epoch, each.first_sequence, each.last_sequence, f"lineage: {each.variable}")
+        if stream.type != SituationDetected.type_name:
+            continue
+        for segment in log.read(stream, each.first_sequence, epoch=epoch):
+            if segment.header.first_sequence > each.last_sequence:
+                break
+            for lower in _events(log, segment):
+                is_matched = each.first_sequence <= lower.sequence <= each.last_sequence
+                if is_matched and isinstance(lower.event, SituationDetected) and lower.event.situation not in seen:
+                    _want_lineage(log, selection, lower, seen)
+                    _want_rule(log, selection, lower.event)
 
 
 def _want_origin(log: Log, selection: Selection, wanted: Wanted) -> None:

@@ -249,6 +249,14 @@ SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES ▸now() AS at PATTERN (A)
 SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES ▸no_such(x) AS n PATTERN (A))
 --- error no_such
 
+--- case a star outside of COUNT
+SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES (▸*) AS n PATTERN (A))
+--- error stands in COUNT only
+
+--- case a star in another aggregate
+SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES max(▸A.*) AS n PATTERN (A))
+--- error stands in COUNT only
+
 --- case CLASSIFIER of an unknown variable
 SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES CLASSIFIER(▸B) AS c PATTERN (A))
 --- error B

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from patterns.processor import Processor, deploy
+from patterns.processor import Processor, deploy, retire
 from store import Log
-from tests.patterns.test_processor import STATION, T0, add_video, end, point, rule, say, walkers
+from tests.patterns.walkers import STATION, T0, add_video, end, point, rule, say, walkers
 from tests.vian.conftest import Run
 from tests.vian.test_rules import HIGH, write_rule
 from vian.querying import query
@@ -59,6 +59,20 @@ def test_two_versions_are_shown_side_by_side(walked: Log, run: Run) -> None:
     assert "ended_at" in ran.out
 
 
+def test_it_is_said_which_situations_the_log_has_and_which_in_shadow(walked: Log, run: Run) -> None:
+    def recorded(version: str) -> list[str]:
+        out = run("rules", "backtest", f"enters@{version}", "--dsn", walked.dsn, "--station", STATION).out
+        return [line.rstrip(" │").rpartition("│")[2].strip() for line in out.splitlines() if "came in" in line]
+
+    assert recorded("1") == ["yes"] * 8
+    assert recorded("2") == ["no"] * 7
+    shadowed = rule(version=2, pattern="(outside inside inside)")
+    retire(walked, STATION, "enters", T0)
+    deploy(walked, STATION, [shadowed], {}, T0, after=0, is_shadow=True)
+    Processor(walked, STATION).catch_up()
+    assert recorded("2") == ["in shadow"] * 7
+
+
 def test_csv_has_a_header_and_a_line_for_each_situation(walked: Log, run: Run) -> None:
     ran = run("rules", "backtest", "enters@1", "--dsn", walked.dsn, "--csv")
     rows = list(csv.DictReader(io.StringIO(ran.out)))
@@ -89,7 +103,7 @@ WRONG: list[tuple[list[str], str]] = [
     (["enters", "--against", "9"], "version 9 of rule enters is not deployed"),
     (["enters", "--since", "yesterday"], "--since must be a time such as"),
     (["enters", "--since", "2026-01-02", "--until", "2026-01-01"], "--since must be before --until"),
-    (["enters", "--from", "2026-01-02", "--until", "2026-01-01"], "--from must be before --until"),
+    (["enters", "--from", "2036-01-02"], "--from: the log has no event at or after 2036-01-02"),
     (["enters", "--source", "roof"], "no source 'roof' in this log; known: gate, rules"),
     (["enters", "--csv", "--json"], "give either --csv or --json"),
 ]

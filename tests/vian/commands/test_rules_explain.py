@@ -12,7 +12,7 @@ from extractors import video as video_files
 from patterns.loading import parse_rule
 from patterns.processor import Processor, deploy
 from store import Log
-from tests.patterns.test_processor import STATION, T0, add_video, end, point, rule, say, situations
+from tests.patterns.walkers import STATION, T0, add_video, end, point, rule, say, situations
 from tests.vian.conftest import Run
 from vian.rules import file_text
 

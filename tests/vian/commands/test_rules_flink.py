@@ -8,7 +8,7 @@ import pytest
 import patterns
 from patterns.processor import deploy
 from store import Log
-from tests.patterns.test_processor import STATION, T0, add_video, rule
+from tests.patterns.walkers import STATION, T0, add_video, rule
 from tests.vian.conftest import Run
 from vian.rules import file_text
 

@@ -8,7 +8,7 @@ import pytest
 
 from patterns.processor import deploy
 from store import Log
-from tests.patterns.test_processor import STATION, T0, add_video, end, point, rule, say
+from tests.patterns.walkers import STATION, T0, add_video, end, point, rule, say
 from tests.vian.conftest import Run
 from vian.rules import file_text
 

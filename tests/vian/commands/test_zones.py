@@ -9,7 +9,7 @@ import pytest
 
 from events import CameraCalibrated, ZoneDefined, decode, events_of
 from store import Log
-from tests.patterns.test_processor import STATION, add_video
+from tests.patterns.walkers import STATION, add_video
 from tests.vian.conftest import Ran, Run
 from vian.errors import WrongUsage
 from vian.zoning import GroundPoint, calibrated
