@@ -16,7 +16,7 @@ class MatchedRange(Part):
     """
 
     variable: str
-    """pattern variable"""
+    """pattern variable; `zone:NAME`, `line:NAME` or `calibration` for events that say what rows were judged by"""
     stream: str
     """stream as station/source/type"""
     first_sequence: Annotated[int, AtDoor(1)]

@@ -162,6 +162,7 @@ class _Binder:
             limits=self.limits,
         )
         self.check_can_match(bound)
+        self.check_end(bound)
         self.check_timers(bound)
         return bound
 
@@ -193,6 +194,15 @@ class _Binder:
                 raise self.refusal("ORDER BY ... " + ("DESC" if ordering.is_descending else "NULLS"), at)
         if not order:
             raise self.error("a rule needs ORDER BY time", self.clause.at)
+
+    def check_end(self, bound: BoundRule) -> None:
+        tables = bound.tables
+        if bound.within_us is not None and tables.accepts_end != tables.accepts:
+            message = (
+                "PATTERN: $ beside WITHIN would have to take back what the time decided; leave one of them out, or say "
+                "what did not come with TIMER"
+            )
+            raise self.error(message, self.clause.pattern_at)
 
     def check_rows(self) -> None:
         if self.clause.rows is not RowsPerMatch.ONE:

@@ -1,5 +1,6 @@
 """Numbers for what is not a number: partition keys, and texts that a match remembers."""
 
+import struct
 from collections.abc import Sequence
 from typing import Any
 
@@ -10,6 +11,7 @@ import pyarrow.compute as pc
 from patterns.expressions import Kind
 from patterns.kernel import Integers, intern
 
+_WORD, _FLOAT = struct.Struct("<q"), struct.Struct("<d")
 _NOT_A_NUMBER = np.array([np.nan]).view(np.int64)[0]
 
 
@@ -25,7 +27,11 @@ class Texts:
         encoded = column.dictionary_encode()
         if len(encoded.dictionary) == 0:
             return np.zeros(len(column), dtype=np.int64)
-        table = np.array([self.number(text) for text in encoded.dictionary.to_pylist()], dtype=np.int64)
+        texts = encoded.dictionary.to_pylist()
+        known = list(map(self._numbers.get, texts))
+        if None in known:
+            known = [self.number(text) if number is None else number for text, number in zip(texts, known, strict=True)]
+        table = np.array(known, dtype=np.int64)
         indices = pc.fill_null(encoded.indices, 0) if encoded.indices.null_count else encoded.indices
         numbers: Integers = table[indices.to_numpy()]
         return numbers
@@ -59,7 +65,8 @@ def as_value(word: int, kind: Kind, texts: Texts) -> Any:
     if kind is Kind.STRING:
         return texts.known[word]
     if kind is Kind.FLOAT:
-        return float(np.int64(word).view(np.float64))
+        value: float = _FLOAT.unpack(_WORD.pack(word))[0]
+        return value
     return bool(word) if kind is Kind.BOOL else word
 
 

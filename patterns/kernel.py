@@ -56,7 +56,9 @@ BY_ROW, BY_TIME, BY_END, GIVEN_UP = 0, 1, 2, 3
 
 # Where free records begin, and how many there are.
 FREE_CELL, FREE_ATTEMPT, FREE_THREAD, FREE_TRACE, CELLS, ATTEMPTS, THREADS, TRACES, FOUND, DUE = range(10)
-CONTROLS = 10
+# How many have to be free, where there was too little room.
+NEED_CELLS, NEED_ATTEMPTS, NEED_THREADS, NEED_TRACES, NEED_FOUND = range(10, 15)
+CONTROLS = 15
 
 compiled = njit(cache=True, _nrt=False)
 
@@ -892,6 +894,9 @@ def _has_room(tables, state, partition):
     needed = (threads + attempts + 2 * rules + 2) * (tables.fan[0] + 2)
     if count and needed > 4096:
         needed = min(needed, (count + 2 * rules) * (most + 4) + 2 * attempts + 4096)
+    controls[NEED_THREADS] = controls[NEED_TRACES] = needed
+    controls[NEED_ATTEMPTS] = controls[NEED_CELLS] = 2 * rules + 1
+    controls[NEED_FOUND] = attempts + count + 3 * rules + 1
     return (
         controls[THREADS] >= needed
         and controls[TRACES] >= needed
@@ -1036,6 +1041,7 @@ def expire(tables, state, until, is_end, cursor):
             continue
         if len(state.found) - state.controls[FOUND] <= cells[cell, C_ATTEMPTS]:
             cursor[0] = cell
+            state.controls[NEED_FOUND] = cells[cell, C_ATTEMPTS] + 1
             return GROW
         if state.failures[rule] == 0:
             _expire(tables, state, cell, rule, until)

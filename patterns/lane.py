@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 
 from events import EventType
 from patterns import kernel as k
@@ -31,13 +30,15 @@ from patterns.packed import Assembly, Packed
 from patterns.places import Places
 from patterns.pools import Shape, grown, new_scratch, new_state, with_partitions, with_partitions_kept
 from patterns.records import ROW_COLUMNS, STREAM_COLUMNS, Arrived, Layout, Recorder, RowEvaluator
-from patterns.rows import SEQUENCE, STREAM, TIME, StreamNumbers, normalised
+from patterns.rows import SEQUENCE, STREAM, TIME, StreamNumbers, encoded, normalised
 from patterns.running import Counts, GivenUp, Outcome, decided_order, needs
 from patterns.site import Site
 from patterns.situations import EventRef, Match, Narrator, as_python, event_ref, nearest_time
 from patterns.tails import Tails
 
 SLOTS_MOST = 62
+_PARTITIONS_LEAST = 1 << 15
+"""Partitions below which forgetting them is not worth while."""
 _IMPLIED = frozenset((*STREAM_COLUMNS, *ROW_COLUMNS))
 
 
@@ -152,8 +153,9 @@ class Lane:
         self._shape = Shape(0, 0, 0, 0)
         self.state = new_state(self._shape)
         self._place = np.empty(0, dtype=np.int64)
-        self._partitions_least = 1024
+        self._partitions_least = _PARTITIONS_LEAST
         self._late: tuple[EventRef, ...] = ()
+        self._is_stale = False
 
     # Rules.
 
@@ -170,7 +172,7 @@ class Lane:
         """The rule is one of the lane's, which has seen no row yet."""
         assert self.is_fresh, "a rule joins a lane before its first row"
         self._add_member(name, packed)
-        self.rebuild()
+        self._is_stale = True
 
     def admit(self, name: str, packed: Packed) -> None:
         """The rule is one of the lane's, and what it remembers of the rows before now is put in afterwards."""
@@ -189,6 +191,7 @@ class Lane:
 
     def drop(self, name: str) -> None:
         """The rule is no longer the lane's, and what it remembered is forgotten."""
+        self.prepare()
         at = self.place_of(name)
         del self.members[at]
         if not self.members:
@@ -230,8 +233,14 @@ class Lane:
         self.members.append(member)
         return member
 
+    def prepare(self) -> None:
+        """Makes the tables anew, if rules have come since they were made: once, however many came."""
+        if self._is_stale:
+            self.rebuild()
+
     def rebuild(self) -> None:
         """Makes the tables anew, after rules came or went."""
+        self._is_stale = False
         packed = [member.packed for member in self.members]
         layout = self.layout
         registers = max((len(each.bound.registers) for each in packed), default=0)
@@ -277,6 +286,7 @@ class Lane:
 
     def learn(self, event: EventType, stream: str, sequence: int) -> dict[str, Outcome]:
         """Takes in what an event says of a camera; a rule that cannot use it is set aside."""
+        self.prepare()
         needing = [
             at for at, member in enumerate(self.members)
             if needs(member.bound, event, needs_calibration=member.narrator.needs_calibration)
@@ -292,6 +302,7 @@ class Lane:
 
     def push(self, table: pa.Table, newest_by_source: Sequence[tuple[str, int]]) -> dict[str, Outcome]:
         """Takes rows as they arrive, whose envelope is whole, and for each source its newest time."""
+        self.prepare()
         self._late = self._take(table)
         for source, newest in newest_by_source:
             self.clock.observe(source, newest)
@@ -299,17 +310,20 @@ class Lane:
 
     def source_ended(self, source: str) -> dict[str, Outcome]:
         """The source will send no more."""
+        self.prepare()
         if self.clock.end(source):
             return self.finish()
         return self._advance()
 
     def advance_idle(self, now_us: int) -> dict[str, Outcome]:
         """Looks for sources that have been silent for the idle time."""
+        self.prepare()
         self.clock.look_for_idle(now_us)
         return self._advance()
 
     def finish(self) -> dict[str, Outcome]:
         """The input has ended: everything is decided."""
+        self.prepare()
         self._run(self._released(None))
         self._expire(0, is_end=True)
         outcomes = self._outcomes()
@@ -561,7 +575,7 @@ class Lane:
         if len(kept) > self.input.partitions_most:
             kept = self._limited(kept)
         self._keep(kept)
-        self._partitions_least = max(1024, min(len(kept), self.input.partitions_most // 2))
+        self._partitions_least = max(_PARTITIONS_LEAST, min(len(kept), self.input.partitions_most // 2))
 
     def _keep(self, kept: Integers) -> None:
         self.keys = self.keys.kept(kept)
@@ -626,10 +640,21 @@ class Lane:
 
     def partitions_open(self, name: str) -> int:
         """How many partitions anything is remembered of for this rule."""
+        self.prepare()
         at = self.place_of(name)
         watermark_us = self.clock.watermark_us
         until = int(k.NEVER) * -1 if watermark_us is None else watermark_us
         return int(k.open_partitions(self.tables, self.state, self.keys.count, until, self._shape.words, at))
+
+    def partial_matches(self, name: str) -> int:
+        """How many partial matches of this rule are open, of all partitions."""
+        at, cells, total = self.place_of(name), self.state.first_cells[: self.keys.count], 0
+        while len(cells := cells[cells >= 0]):
+            rows = self.state.cells[cells]
+            is_open = (rows[:, k.C_RULE] == at) & (rows[:, k.C_FIRST] >= 0)
+            total += int(rows[is_open, k.C_THREADS].sum())
+            cells = rows[:, k.C_NEXT]
+        return total
 
 
 def _reads(packed: Packed) -> dict[str, Kind]:
@@ -686,5 +711,10 @@ def _in_own_names(member: Member, error: Exception) -> Exception:
 
 
 def _of_type(table: pa.Table, wanted: str) -> pa.Table:
-    is_wanted = pc.equal(table.column("type"), wanted)
-    return table if pc.all(is_wanted).as_py() else table.filter(is_wanted)
+    """The rows of this type; the types are encoded."""
+    types = encoded(table.column("type"))
+    names = types.dictionary.to_pylist()
+    if names == [wanted]:
+        return table
+    number = names.index(wanted) if wanted in names else -1
+    return table.filter(pa.array(types.indices.to_numpy() == number))

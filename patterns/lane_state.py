@@ -48,6 +48,7 @@ class Saved:
 
 def saved_lane(lane: Lane, name: str) -> bytes:
     """What the lane remembers of the rule."""
+    lane.prepare()
     at = lane.place_of(name)
     member = lane.members[at]
     pools = _pools_of(lane.state, at)
@@ -102,6 +103,7 @@ def restored(name: str, packed: Packed, state: bytes, lanes: list[Lane], *, is_s
     else:
         lane = Lane(LaneInput.of(packed), site, is_strict=is_strict)
         lane.join(name, packed)
+        lane.prepare()
         _begin(lane, saved)
     _insert(lane, len(lane.members) - 1, saved)
     return lane

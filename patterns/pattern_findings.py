@@ -162,6 +162,14 @@ def _leading_loop(bound: BoundRule) -> list[Finding]:
     return [Finding("warning", message, passage.place(parse(passage).clause.pattern_at), "quadratic")]
 
 
+def _is_timed_out(bound: BoundRule) -> bool:
+    """Whether a timer ends every partial match of a partition that falls silent, so that it is not remembered."""
+    tables, timed = bound.tables, bound.timed
+    setters = {each for index in bound.timers for each in bound.registers[index].variables or ()}
+    ends = all(not tables.follow[at] for at, variable in enumerate(tables.variables) if timed[variable])
+    return bool(setters) and ends and {tables.variables[at] for at in tables.firsts()} <= setters
+
+
 def _unbounded(bound: BoundRule) -> list[Finding]:
     """Rules that may remember a partition for ever."""
     findings = []
@@ -174,7 +182,7 @@ def _unbounded(bound: BoundRule) -> list[Finding]:
     if bound.looks_back:
         message = "PREV looks at rows before the match, so a row of every partition is remembered for good"
         findings.append(Finding("warning", message, place, "unbounded"))
-    elif bound.within_us is None:
+    elif bound.within_us is None and not _is_timed_out(bound):
         endless = _endless(bound)
         message = "without WITHIN, a partial match of a partition that falls silent is remembered for good"
         if endless:

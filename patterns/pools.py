@@ -9,10 +9,10 @@ from patterns import kernel as k
 from patterns.kernel import Integers, Scratch, State, Tables
 
 _POOLS = (
-    ("cells", k.C_WIDTH, k.C_NEXT, k.FREE_CELL, k.CELLS),
-    ("attempts", k.A_WIDTH, k.A_NEXT, k.FREE_ATTEMPT, k.ATTEMPTS),
-    ("threads", k.T_WIDTH, k.T_NEXT, k.FREE_THREAD, k.THREADS),
-    ("traces", k.X_WIDTH, k.X_PARENT, k.FREE_TRACE, k.TRACES),
+    ("cells", k.C_WIDTH, k.C_NEXT, k.FREE_CELL, k.CELLS, k.NEED_CELLS),
+    ("attempts", k.A_WIDTH, k.A_NEXT, k.FREE_ATTEMPT, k.ATTEMPTS, k.NEED_ATTEMPTS),
+    ("threads", k.T_WIDTH, k.T_NEXT, k.FREE_THREAD, k.THREADS, k.NEED_THREADS),
+    ("traces", k.X_WIDTH, k.X_PARENT, k.FREE_TRACE, k.TRACES, k.NEED_TRACES),
 )  # fmt: skip
 _SMALLEST = 256
 
@@ -53,22 +53,25 @@ def new_state(shape: Shape) -> State:
 
 
 def grown(state: State) -> State:
-    """The same with twice the room in each pool that is more than half full."""
+    """The same with twice the room, or more, in each pool that has less room than the kernel asked for."""
     changed: dict[str, Any] = {}
-    for name, _, link, head, count in _POOLS:
+    for name, _, link, head, count, needed in _POOLS:
         pool = getattr(state, name)
-        if 2 * int(state.controls[count]) > len(pool) > 0:
+        missing = int(state.controls[needed]) - int(state.controls[count])
+        if missing <= 0 and len(pool):
             continue
-        changed[name] = _longer(pool, max(2 * len(pool), _SMALLEST), link, state.controls, head, count)
+        length = max(2 * len(pool), len(pool) + missing, _SMALLEST)
+        changed[name] = _longer(pool, length, link, state.controls, head, count)
         if name == "cells":
             changed[name][len(pool) :, k.C_RULE] = -1
         if name == "threads":
-            registers = np.empty((len(changed[name]), state.registers.shape[1]), dtype=np.int64)
+            registers = np.empty((length, state.registers.shape[1]), dtype=np.int64)
             registers[: len(pool)] = state.registers
             changed["registers"] = registers
-    if 2 * int(state.controls[k.FOUND]) > len(state.found) or not changed:
-        found = np.empty((2 * len(state.found), k.F_WIDTH), dtype=np.int64)
-        found[: len(state.found)] = state.found
+    used = int(state.controls[k.FOUND])
+    if used + int(state.controls[k.NEED_FOUND]) > len(state.found):
+        found = np.empty((2 * used + int(state.controls[k.NEED_FOUND]), k.F_WIDTH), dtype=np.int64)
+        found[:used] = state.found[:used]
         changed["found"] = found
     return state._replace(**changed)
 

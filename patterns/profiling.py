@@ -17,18 +17,21 @@ import pyarrow as pa
 from events import Catalogue, EventType, Segment, UnknownType, decode, events_of, with_envelope
 from patterns.bound import BoundRule
 from patterns.processor.passes import CONTROL, ENDS
-from patterns.running import RuleRun
+from patterns.ruleset import RuleSetRun
 
 SAMPLES = 20
 """How often during the run its state is measured."""
 PARTS = ("ordering", "predicates", "matcher", "emission")
 """Parts of the engine: rows into columns and their order; row-local conditions; the automaton; what is said."""
 _PART_OF = {
-    "predicates": ("columns", "geometry", "places", "ground", "site", "lists", "raster"),
-    "matcher": ("engine", "matcher", "guards", "registers", "kernel", "program"),
+    "predicates": ("columns", "conditions", "geometry", "places", "ground", "site", "lists", "raster", "records"),
+    "matcher": ("engine", "matcher", "guards", "registers", "kernel", "program", "timers"),
     "emission": ("situations", "titles", "emitter", "writing"),
 }
 """For each part its modules; all other modules of this package belong to the ordering."""
+
+_CALLS_KERNEL = {("lane", "_run"), ("lane", "_expire")}
+"""Functions whose own time is the compiled matcher's, which the profiler does not see."""
 
 Function = tuple[str, int, str]
 """File, line and name, as the profiler has them."""
@@ -88,9 +91,11 @@ def steps_of(segments: Iterable[Segment], types: frozenset[str], catalogue: Cata
 
 def profiled(bound: BoundRule, steps: Iterable[Step]) -> dict[str, float]:
     """For each part of the engine its share of the time that these steps take."""
-    run = RuleRun(bound)
+    run = RuleSetRun([bound])
     profiler = cProfile.Profile()
-    for step in steps:
+    for number, step in enumerate(steps):
+        if number == 0:
+            _take(RuleSetRun([bound]), step)  # what is compiled or loaded once is no cost of an event
         profiler.enable()
         try:
             _take(run, step)
@@ -102,7 +107,8 @@ def profiled(bound: BoundRule, steps: Iterable[Step]) -> dict[str, float]:
 
 def measured(bound: BoundRule, steps: Iterable[Step], count: int, shares: dict[str, float]) -> Cost:
     """What the rule costs over these steps, of which there are `count`."""
-    run = RuleRun(bound)
+    name = bound.rule.rule
+    run = RuleSetRun([bound])
     cpu_s, events = 0.0, 0
     sampled = _Most()
     every = max(1, count // SAMPLES)
@@ -111,14 +117,16 @@ def measured(bound: BoundRule, steps: Iterable[Step], count: int, shares: dict[s
         _take(run, step)
         cpu_s += time.thread_time() - began
         events += step.num_rows if isinstance(step, pa.RecordBatch) else 0
-        sampled.look(run, is_deep=number % every == 0)
+        if run.failures:
+            raise run.failures[name]
+        sampled.look(run, name, is_deep=number % every == 0)
     return Cost(
         rule=bound.rule.rule,
         version=bound.rule.version,
         events=events,
         cpu_s=cpu_s,
         shares=shares,
-        matches=run.counts.matches,
+        matches=run.status(name).counts.matches,
         partitions_most=sampled.partitions,
         partial_matches_most=sampled.partial_matches,
         rows_waiting_most=sampled.rows_waiting,
@@ -151,7 +159,7 @@ class _Owners:
         """Shares of the parts; empty where nobody of this package called it."""
         if function in self._known:
             return self._known[function]
-        part = _part_of(function[0])
+        part = _part_of(function)
         if part is not None:
             self._known[function] = {part: 1.0}
             return self._known[function]
@@ -165,15 +173,17 @@ class _Owners:
         return self._known[function]
 
 
-def _part_of(file: str) -> str | None:
-    """The part of the engine that a source file belongs to; None: the file is not of this package."""
-    path = Path(file)
+def _part_of(function: Function) -> str | None:
+    """The part of the engine that a function belongs to; None: it is not of this package."""
+    path = Path(function[0])
     if not path.is_relative_to(Path(__file__).parent):
         return None
+    if (path.stem, function[2]) in _CALLS_KERNEL:
+        return "matcher"
     return next((part for part, modules in _PART_OF.items() if path.stem in modules), "ordering")
 
 
-def _take(run: RuleRun, step: Step) -> None:
+def _take(run: RuleSetRun, step: Step) -> None:
     if isinstance(step, pa.RecordBatch):
         run.push(step)
         return
@@ -193,9 +203,10 @@ class _Most:
     rows_waiting: int = 0
     state_bytes: int = 0
 
-    def look(self, run: RuleRun, is_deep: bool) -> None:
-        self.partitions = max(self.partitions, run.partitions_open)
-        self.rows_waiting = max(self.rows_waiting, run.rows_waiting)
+    def look(self, run: RuleSetRun, name: str, is_deep: bool) -> None:
+        status = run.status(name)
+        self.rows_waiting = max(self.rows_waiting, status.rows_waiting)
         if is_deep:
-            self.partial_matches = max(self.partial_matches, run.partial_matches)
-            self.state_bytes = max(self.state_bytes, len(run.state()))
+            self.partitions = max(self.partitions, status.partitions_open)
+            self.partial_matches = max(self.partial_matches, run.partial_matches(name))
+            self.state_bytes = max(self.state_bytes, len(run.state(name)))

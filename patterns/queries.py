@@ -118,7 +118,7 @@ def answer(plan: Plan, opened: duckdb.DuckDBPyConnection, limits: Limits | None 
         source = _distinctly_named(_run(plan.passage, step.source, opened, is_input=True))
         opened.register(step.name, _with_a_column(recognise(step.clause, source, limits=limits)))
     found = _run(plan.passage, plan.rest, opened)
-    return found.select([name for name in found.column_names if name != _NOTHING])
+    return found.select([index for index, name in enumerate(found.column_names) if name != _NOTHING])
 
 
 class _Reader:

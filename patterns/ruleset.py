@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING
 from events import EventType
 from patterns.bound import BoundRule
 from patterns.errors import MatchError, PatternError
-from patterns.rows import check_envelope, newest_by_source
+from patterns.rows import check_envelope, newest_by_source, with_envelope_encoded
 from patterns.running import Counts, Outcome, Rows, RuleRun, as_table, wall_us
 from patterns.site import Site
 
@@ -176,6 +176,15 @@ class RuleSetRun:
             counts, lane.watermark, lane.rows_waiting, lane.partitions_open(name), member.emitter.held_back, spent_s
         )
 
+    def partial_matches(self, name: str) -> int:
+        """How many partial matches of the rule are open, of all partitions; looks at each of them.
+
+        Raises:
+            PatternError: The set has no such rule.
+        """
+        self._check_has(name)
+        return self._alone[name].partial_matches if name in self._alone else self._lane_of[name].partial_matches(name)
+
     # Rows and time.
 
     def set_frame_size(self, source: str, width: int, height: int) -> None:
@@ -205,8 +214,9 @@ class RuleSetRun:
         check_envelope(table)
         if table.num_rows == 0:
             return {}
-        newest = newest_by_source(table)
-        return self._each(lambda run: run.push(table), lambda lane: lane.push(table, newest))
+        encoded = with_envelope_encoded(table) if self._lanes else table
+        newest = newest_by_source(encoded) if self._lanes else []
+        return self._each(lambda run: run.push(table), lambda lane: lane.push(encoded, newest))
 
     def source_ended(self, source: str) -> Outcomes:
         """The source will send no more."""

@@ -153,8 +153,9 @@ class RuleRun:
 
     @property
     def partial_matches(self) -> int:
-        """How many starts have come to no decision yet."""
-        return sum(len(state.partition.attempts) for state in self._engine.open.values())
+        """How many partial matches are open, of all partitions."""
+        attempts = (attempt for state in self._engine.open.values() for attempt in state.partition.attempts)
+        return sum(len(attempt.threads) for attempt in attempts)
 
     def set_frame_size(self, source: str, width: int, height: int) -> None:
         """The source's frames have this size in pixels, from the next step on."""

@@ -22,6 +22,8 @@ from patterns.titles import Scalar, filled_title
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _EARLIEST = datetime(1, 1, 1, tzinfo=UTC)
 _LATEST = datetime(9999, 12, 31, 23, 59, 59, 999_999, tzinfo=UTC)
+_EARLIEST_US, _LATEST_US = ((each - _EPOCH) // MICROSECOND for each in (_EARLIEST, _LATEST))
+_ENCODER = json.JSONEncoder(separators=(",", ":"), ensure_ascii=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,8 +94,7 @@ def situation_id(rule: str, version: int, partition: Sequence[Any], first: Event
     """
     events = [[event.stream, event.sequence, as_microseconds(event.time)] for event in (first, last)]
     content = ["situation/1", rule, version, [as_microseconds(value) for value in partition], *events]
-    text = json.dumps(content, separators=(",", ":"), ensure_ascii=False)
-    return hashlib.sha256(text.encode()).hexdigest()
+    return hashlib.sha256(_ENCODER.encode(content).encode()).hexdigest()
 
 
 class Narrator:
@@ -105,6 +106,7 @@ class Narrator:
         self.stream_names = stream_names
         self.drawn = _drawn_by_events(bound)
         self.rule_hash = bound.rule.hash
+        self.keys = [(name, bound.columns[name]) for name in bound.keys]
         slots = {slot: index for index, slot in enumerate(bound.slots)}
         registers = dict(bound.register_of)
         self.values: list[tuple[Output, Guard]] = [
@@ -120,10 +122,7 @@ class Narrator:
     def match(self, key: Sequence[Any], found: Found) -> Match:
         """The match as it leaves the engine."""
         bound = self.bound
-        kinds = [bound.columns[name] for name in bound.keys]
-        partition = {
-            name: as_python(value, kind) for name, value, kind in zip(bound.keys, key, kinds, strict=True)
-        }  # fmt: skip
+        partition = {name: as_python(value, kind) for (name, kind), value in zip(self.keys, key, strict=True)}
         values = {
             output.name: as_python(value((), found.ending.registers), output.value.kind)
             for output, value in self.values
@@ -208,8 +207,7 @@ def as_python(value: Any, kind: Kind) -> Scalar:
 
 def nearest_time(microseconds: int) -> datetime:
     """The time, or the first or last that there is: for bounds, such as the end of a WITHIN."""
-    earliest, latest = ((each - _EPOCH) // MICROSECOND for each in (_EARLIEST, _LATEST))
-    return _EPOCH + timedelta(microseconds=min(max(microseconds, earliest), latest))
+    return _EPOCH + timedelta(microseconds=min(max(microseconds, _EARLIEST_US), _LATEST_US))
 
 
 def _time(microseconds: int) -> datetime:
@@ -222,5 +220,6 @@ def _time(microseconds: int) -> datetime:
 def as_microseconds(value: Scalar) -> bool | int | float | str | None:
     """The value with times and durations as whole microseconds again: what identities are made of."""
     if isinstance(value, datetime):
-        return (value - _EPOCH) // MICROSECOND
+        since = value - _EPOCH
+        return (since.days * 86_400 + since.seconds) * 1_000_000 + since.microseconds
     return value // MICROSECOND if isinstance(value, timedelta) else value

@@ -51,7 +51,14 @@ def check_formats(rule: Rule, kinds: dict[str, Kind]) -> None:
 
 def filled_title(title: str, values: dict[str, Scalar]) -> str:
     """The title with each `{name}` or `{name:format}` in its place; NULL is shown as `?`."""
-    return title.format_map({name: _Shown(value) for name, value in values.items()})
+    return title.format_map(_AllShown(values))
+
+
+class _AllShown(dict[str, Scalar]):
+    """Values by name; each is made ready to be shown when it is asked for."""
+
+    def __getitem__(self, name: str) -> "_Shown":  # type: ignore[override]
+        return _Shown(super().__getitem__(name))
 
 
 class _Shown:

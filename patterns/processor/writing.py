@@ -31,9 +31,14 @@ def drafts_of(rule: Rule, station: str, matches: Sequence[Match], *, is_shadow: 
         said = shadow_of(match) if is_shadow else situation_of(match)
         by_source.setdefault(str(match.partition.get("source") or SOURCE), []).append(said)
     return [
-        encode(StreamName.of(station, source, event_type.type_name), batch_of(events), producer_of(rule))
+        encode(StreamName.of(station, source, event_type.type_name), batch_of(events), _producer(rule, matches[0]))
         for source, events in by_source.items()
     ]
+
+
+def _producer(rule: Rule, match: Match) -> Producer:
+    """The same as `producer_of`, by the hash that the match carries: a rule's own takes milliseconds to make."""
+    return Producer(f"rule/{rule.rule}", str(rule.version), bytes.fromhex(match.rule_hash))
 
 
 def situation_of(match: Match) -> SituationDetected:

@@ -4,7 +4,7 @@ import pytest
 
 from patterns import LimitError, Limits, RuleError, SkipError, bind, match
 from patterns.pattern_parser import parse_pattern
-from patterns.program import Instruction, compile_pattern, listing, tabulate
+from patterns.program import Instruction, ProgramTooLarge, compile_pattern, listing, tabulate
 from patterns.text import Passage
 from tests.patterns.samples import SCHEMAS, define_letters, letter_rule, letters, spans
 
@@ -21,6 +21,11 @@ LISTINGS = {
     "A{,2}": "split 1 4; row A; split 3 4; row A; accept",
     "A{1,3}?": "row A; split 5 2; row A; split 5 4; row A; accept",
     "(A B)+ C": "row A; row B; split 3 6; row A; row B; jump 2; row C; accept",
+    "^ A $": "at the partition's start; row A; at the partition's end; accept",
+    "()": "accept",
+    "A {- B {- C -} -}": "row A; row B excluded; row C excluded; accept",
+    "PERMUTE(A, B)": "split 1 3; row A; jump 5; row B; jump 7; row B; jump 9; row A; jump 9; accept",
+    "A{,}": "split 1 3; row A; jump 0; accept",
     "(A?)*": "split 1 6; mark 0; split 3 4; row A; check 0 else 6; jump 0; accept",
 }
 
@@ -177,3 +182,28 @@ def test_threads_that_remember_different_things_are_not_one() -> None:
     rule = letter_rule("A+ X C", "A AS letter = 'a', X AS letter = 'x', C AS n = FIRST(A.n)")
     rows = letters("aaaxc", numbers=[1, 2, 3, 0, 2])
     assert spans(match(bind(rule, SCHEMAS), rows)) == [(1, 4)]
+
+
+@pytest.mark.parametrize(
+    "pattern,ends,firsts",
+    [
+        ("A $", [True, False, False], (0,)),
+        ("A B? $", [True, True, False, False], (0,)),
+        ("^ A | B", [True, True, False, False], (1, 0)),
+        ("A ($ | B)", [True, True, False, False], (0,)),
+        ("A ^ B", [False, True, False, False], (0,)),
+    ],
+)
+def test_anchors_are_a_second_end_and_a_second_start(pattern: str, ends: list[bool], firsts: tuple[int, ...]) -> None:
+    tables = tabulate(_program(pattern)[1])
+    assert tables.accepts_end == tuple(ends)
+    assert tables.firsts() == firsts
+    assert tables.has_start_anchor == pattern.startswith("^")
+
+
+def test_eight_parts_in_any_order_are_a_thousand_positions_and_not_forty_thousand() -> None:
+    names = [f"V{number}" for number in range(8)]
+    tree, _ = parse_pattern(Passage.alone(f"(PERMUTE({', '.join(names)}))"), 0)
+    assert tabulate(compile_pattern(tree, names, 1_024)).start == 1_024
+    with pytest.raises(ProgramTooLarge, match="unfolds to 1024 positions"):
+        compile_pattern(tree, names, 1_023)

@@ -3,6 +3,7 @@
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 
 import duckdb
@@ -90,8 +91,7 @@ def typed(body: str) -> pa.Table:
         {name: pa.array([text(row, i) for row in rows], pa.string()) for i, (name, _) in enumerate(columns)}
     )
     casts = ", ".join(f'cast("{name}" as {kind}) as "{name}"' for name, kind in columns)
-    with duckdb.connect() as connection:
-        return connection.from_arrow(table).project(casts).to_arrow_table()
+    return reader().from_arrow(table).project(casts).to_arrow_table()
 
 
 def text(row: str, index: int) -> str | None:
@@ -101,13 +101,21 @@ def text(row: str, index: int) -> str | None:
 
 def shown(table: pa.Table) -> tuple[list[str], list[list[str]], list[str]]:
     """Names, rows as DuckDB's text, and types."""
-    with duckdb.connect() as connection:
-        connection.execute("set timezone = 'UTC'")
-        relation = connection.from_arrow(table)
-        types = [str(each).lower() for each in relation.types]
-        names = ", ".join(f"coalesce(nullif(cast(#{index + 1} as varchar), ''), case when #{index + 1} is null "
-                          f"then 'NULL' else '''''' end)" for index in range(table.num_columns))  # fmt: skip
-        return table.column_names, [list(row) for row in relation.project(names).fetchall()], types
+    relation = reader().from_arrow(table)
+    types = [str(each).lower() for each in relation.types]
+    texts = [
+        f"coalesce(nullif(cast(#{index} as varchar), ''), case when #{index} is null then 'NULL' else '''''' end)"
+        for index in range(1, table.num_columns + 1)
+    ]
+    return table.column_names, [list(row) for row in relation.project(", ".join(texts)).fetchall()], types
+
+
+@cache
+def reader() -> duckdb.DuckDBPyConnection:
+    """What reads and writes tables as text; one, since opening takes longer than a case."""
+    connection = duckdb.connect(config={"threads": 1})
+    connection.execute("set timezone = 'UTC'")
+    return connection
 
 
 ALL = [

@@ -1,5 +1,6 @@
 """TIMER: equal to its definition, online equal to batch, and each thing that it refuses."""
 
+from datetime import timedelta
 from itertools import pairwise
 from typing import Any
 
@@ -7,8 +8,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from patterns import BoundRule, Match, RuleError, RuleRun, bind, check, match
+from patterns import BoundRule, Match, RuleError, RuleRun, bind, check, match, parse_rule
+from patterns.processor import Processor, ProcessorLimits
+from store import Log
 from tests.patterns.samples import BEGINNING, SCHEMAS, letter_rows, letter_rule
+from tests.patterns.test_processor import STATION, T0, add_video, end, point, say, situations
 from tests.patterns.timer_reference import TimedPattern, Tree, matches
 
 A, B, C = (("var", name) for name in "ABC")
@@ -119,8 +123,8 @@ def test_any_split_restart_and_order_of_arrival_gives_what_batch_gives(
     bounds = [0, *sorted(cut % (len(rows) + 1) for cut in cuts), len(rows)]
     run = RuleRun(bound)
     found: list[Match] = []
-    for index, (begin, end) in enumerate(pairwise(bounds)):
-        outcome = run.push(letter_rows(arriving[begin:end]))
+    for index, (first, last) in enumerate(pairwise(bounds)):
+        outcome = run.push(letter_rows(arriving[first:last]))
         assert outcome.late == ()
         found += outcome.matches
         if index in restarts:
@@ -241,3 +245,54 @@ def test_a_within_not_longer_than_the_timer_is_warned_of() -> None:
     for within, warned in (("10", True), ("11", False)):
         findings = check(letter_rule("came overdue", define, within=f"INTERVAL '{within}' SECOND"), SCHEMAS)
         assert any("WITHIN is not longer than TIMER" in finding.message for finding in findings) is warned
+
+
+@pytest.mark.parametrize(
+    ("pattern", "warned"), [("came x*? overdue", False), ("x came overdue", True), ("came overdue x", True)]
+)
+def test_a_timer_that_ends_every_partial_match_needs_no_within(pattern: str, warned: bool) -> None:
+    define = HEAD + "TIMER(came.time, INTERVAL '10' SECOND)"
+    findings = check(letter_rule(pattern, define), SCHEMAS)
+    assert any("without WITHIN" in finding.message for finding in findings) is warned
+
+
+OVERDUE = """
+rule: overdue
+version: 1
+title: "track {track_id} did not come back"
+severity: alarm
+match: |
+  SELECT * FROM track_point MATCH_RECOGNIZE (
+    PARTITION BY source, track_id ORDER BY time, sequence
+    MEASURES gone.time AS gone_at
+    PATTERN (gone away*? overdue)
+    DEFINE gone AS x > 50, away AS x > 50, overdue AS TIMER(gone.time, INTERVAL '5' SECOND))
+"""
+
+
+def test_a_timer_fires_once_over_a_log_with_a_restart_at_each_segment(log: Log) -> None:
+    add_video(log, "gate")
+    add_video(log, "yard")
+    for second, (x, other) in enumerate([(20, 20), (80, 80), (80, 20), (20, 20)]):
+        say(log, "gate", point(1, second, x), point(2, second, other))
+        say(log, "yard", point(3, second, 20))
+    for second in range(4, 10):
+        say(log, "yard", point(3, second, 20))
+    say(log, "gate", point(4, 2, 80))
+    end(log, "gate")
+    for second in (10, 11):
+        say(log, "yard", point(3, second, 80))
+    rule = parse_rule(OVERDUE.replace("title", "time: {lateness: 2 s}\ntitle"))
+    position = -1
+    while True:
+        processor = Processor(log, STATION, [rule], limits=ProcessorLimits(segments=1))
+        step = processor.step()
+        processor.close()
+        if step.is_caught_up and step.position == position:
+            break
+        position = step.position
+    (found,) = situations(log)
+    assert (found.title, found.time) == ("track 4 did not come back", T0 + timedelta(seconds=7))
+    assert [(each.variable, each.stream) for each in found.lineage] == [
+        ("gone", f"{STATION}/gate/track_point"), ("overdue", f"{STATION}/gate/track_point"),
+    ]  # fmt: skip

@@ -1,0 +1,78 @@
+"""What `patterns.query` does around its clauses that no case of text can say; the rest is in `cases/*.sql`."""
+
+import pyarrow as pa
+import pytest
+
+import patterns
+from patterns import LimitError, Limits, QueryError, query
+from patterns.lexemes import lexemes
+from patterns.queries import take_apart
+from patterns.text import Passage
+
+LETTERS = pa.table({"id": [1, 2, 3], "x": ["a", "a", "b"]})
+PAIR = "MATCH_RECOGNIZE (ORDER BY id MEASURES LAST(id) AS last PATTERN (A B))"
+
+
+def test_a_table_may_have_a_schema_or_a_name_in_any_case() -> None:
+    tables = {"raw.Letters": LETTERS, "Other": LETTERS}
+    for name in ("raw.letters", 'RAW."Letters"', "other", "OTHER"):
+        assert query(f"SELECT last FROM {name} {PAIR}", tables).to_pylist() == [{"last": 2}]
+
+
+def test_the_name_of_a_result_is_none_that_the_user_has() -> None:
+    tables = {"__match_1": LETTERS}
+    assert query(f"SELECT a.last FROM __match_1 {PAIR} AS a, __match_1 AS b", tables).num_rows == 3
+
+
+def test_rows_without_columns_are_counted_and_given_back() -> None:
+    bare = "MATCH_RECOGNIZE (ORDER BY id PATTERN (A))"
+    assert query(f"SELECT count(*) AS n FROM t {bare}", {"t": LETTERS}).to_pylist() == [{"n": 3}]
+    answer = query(f"SELECT * FROM t {bare}", {"t": LETTERS})
+    assert (answer.num_columns, answer.num_rows) == (0, 3)
+
+
+def test_an_answer_may_have_two_columns_of_one_name() -> None:
+    assert query(f"SELECT last, last FROM t {PAIR}", {"t": LETTERS}).column_names == ["last", "last"]
+
+
+def test_columns_of_an_input_that_share_a_name_are_told_apart() -> None:
+    clause = "MATCH_RECOGNIZE (MEASURES id AS a, id_1 AS b, X_1 AS c PATTERN (A))"
+    answer = query(f"SELECT * FROM (t JOIN t AS u ON t.id = u.id) {clause}", {"t": LETTERS})
+    assert answer.to_pylist()[2] == {"a": 3, "b": 3, "c": "b"}
+
+
+def test_limits_are_the_callers() -> None:
+    with pytest.raises(patterns.RuleError, match="positions"):
+        query(f"SELECT * FROM t {PAIR}", {"t": LETTERS}, Limits(positions=1))
+
+
+def test_a_search_without_end_is_a_limit_error() -> None:
+    rows = pa.table({"id": list(range(40))})
+    sql = """SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES COUNT(*) AS n PATTERN ((A | B)* C)
+             DEFINE A AS array_agg(A.id) IS NOT NULL, C AS FALSE)"""
+    with pytest.raises(LimitError):
+        query(sql, {"t": rows}, Limits(threads=100))
+
+
+def test_python_variables_and_the_network_are_no_tables() -> None:
+    hidden = LETTERS
+    with pytest.raises(QueryError, match="hidden does not exist"):
+        query(f"SELECT * FROM hidden {PAIR}", {})
+    with pytest.raises(QueryError, match="httpfs"):
+        query(f"SELECT * FROM 'http://127.0.0.1:1/x.parquet' {PAIR}", {})
+    assert hidden is LETTERS
+
+
+def test_a_query_is_taken_apart_from_the_inside_out() -> None:
+    plan = take_apart(f"WITH a AS (SELECT 1) SELECT * FROM (SELECT * FROM t {PAIR}) {PAIR} AS m JOIN a ON TRUE")
+    assert [(step.name, step.source.sql) for step in plan.steps] == [
+        ("__match_1", "WITH a AS (SELECT 1) SELECT * FROM t"),
+        ("__match_2", 'WITH a AS (SELECT 1) SELECT * FROM (SELECT * FROM "__match_1")'),
+    ]
+    assert plan.rest.sql == 'WITH a AS (SELECT 1) SELECT * FROM "__match_2" AS m JOIN a ON TRUE'
+
+
+def test_words_are_split_as_duckdb_splits_them() -> None:
+    wanted = ["a1", ".", '"b ""c"', "'it''s'", r"E'it\'s'", "$$ 'x $$", "$q$ $$ $q$", "<", "=", "é"]
+    text = " /* /* */ x */ ".join([*wanted[:-1], "-- y\n" + wanted[-1]])
+    assert [word.text for word in lexemes(Passage.alone(text))] == wanted
