@@ -205,6 +205,7 @@ def test_a_rule_that_raises_anything_is_retired_with_its_position_and_comes_back
         return original(self, rows)
 
     with monkeypatch.context() as broken:
+        broken.setattr("patterns.compiling.is_compiled", lambda: False)  # it is a RuleRun that shall break
         broken.setattr(RuleRun, "push", breaks)
         processor = Processor(log, STATION)
         processor.catch_up()
