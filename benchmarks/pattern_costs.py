@@ -27,7 +27,7 @@ from patterns.processor import schemas
 BATCH = 50_000
 """rows a push"""
 SMALL_BATCH = 2_500
-_FIRST_MATCH = "from benchmarks.pattern_costs import first_match; first_match()"
+_FIRST_MATCH = [sys.executable, "-m", "benchmarks.first_match"]
 
 _CROSSINGS = """
 SELECT track_id, time, x, y FROM (
@@ -215,7 +215,7 @@ def costs(*, is_quick: bool) -> Costs:
     """The single figures."""
     runs, partitions = (3, 13_000) if is_quick else (7, 130_000)
     checkpoint_s, restore_s, size = _checkpoint(partitions, runs)
-    starts = [_started([sys.executable, "-c", _FIRST_MATCH]) for _ in range(runs)]
+    starts = [_started(_FIRST_MATCH) for _ in range(runs)]
     first, compiling = _first_ever()
     steps = _steps(200 if is_quick else 1_000)
     return Costs(
@@ -264,17 +264,6 @@ def _moved(table: pa.Table, seconds: int, x: float, y: float) -> pa.Table:
     return table
 
 
-def first_match() -> None:
-    """What a fresh process does up to its first match: what `_started` measures.
-
-    Raises:
-        RuntimeError: There is none.
-    """
-    table = rows("line crossing", 100, 50_000)
-    if not any(outcome.matches for outcome in RuleSetRun([bound(RULES["line crossing"])]).push(table).values()):
-        raise RuntimeError("no match")
-
-
 def _started(command: list[str], environment: dict[str, str] | None = None) -> tuple[float, float]:
     """CPU seconds and seconds of the clock on the wall of a process, from its begin to its end."""
     before, began = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
@@ -287,7 +276,7 @@ def _first_ever() -> tuple[float, float]:
     """CPU seconds to the first match where nothing was compiled before, and to compile."""
     with tempfile.TemporaryDirectory() as folder:
         environment = {"NUMBA_CACHE_DIR": str(Path(folder))}
-        first, _ = _started([sys.executable, "-c", _FIRST_MATCH], environment)
+        first, _ = _started(_FIRST_MATCH, environment)
         compiling, _ = _started([sys.executable, "-m", "patterns.compiling"], environment)
     return first, compiling
 
