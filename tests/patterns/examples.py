@@ -9,7 +9,7 @@ from hypothesis import settings
 
 TOTAL = int(os.environ.get("VIAN_PATTERN_EXAMPLES", "2000"))
 _TIMEOUT_S = 600 * max(1, TOTAL // 2000)
-"""A machine with other work takes several times as long; a time-out among the cases reads like a failure of the last."""
+"""A busy machine takes several times as long, and a time-out among the cases reads like a failure of the last."""
 
 
 def examples(share: float) -> Callable[[Any], Any]:
