@@ -13,17 +13,22 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from itertools import islice
+from typing import Any
 
 import duckdb
 import pyarrow as pa
+from sqlglot import exp
 
+from patterns.dialect import ClauseDialect
+from patterns.duck import sql_of
 from patterns.errors import QueryError, RuleError
 from patterns.lexemes import Kind, Lexeme, lexemes
 from patterns.limits import Limits
+from patterns.navigation import offset_of
 from patterns.parser import parse_clause
 from patterns.recognition import recognise
 from patterns.statements import BEFORE_INPUT, Statement, first_of_input, input_of, name_of_input, statement
-from patterns.syntax import Clause
+from patterns.syntax import Clause, Named
 from patterns.text import Passage
 
 _CLAUSE = "MATCH_RECOGNIZE"
@@ -115,7 +120,8 @@ def answer(plan: Plan, opened: duckdb.DuckDBPyConnection, limits: Limits | None 
     _check_single(plan, opened)
     for step in plan.steps:
         source = _distinctly_named(_run(plan.passage, step.source, opened, is_input=True))
-        opened.register(step.name, recognise(step.clause, source, limits=limits))
+        clause = _with_values(step.clause, opened)
+        opened.register(step.name, recognise(clause, source, limits=limits))
     return _run(plan.passage, plan.rest, opened)
 
 
@@ -212,6 +218,28 @@ def _check_single(plan: Plan, opened: duckdb.DuckDBPyConnection) -> None:
 def _run(passage: Passage, statement: Statement, opened: duckdb.DuckDBPyConnection, is_input: bool = False) -> pa.Table:
     with _errors_told(passage, statement, opened, is_input):
         return opened.execute(statement.sql).to_arrow_table()
+
+
+def _with_values(clause: Clause, opened: duckdb.DuckDBPyConnection) -> Clause:
+    """The clause with the value of each scalar sub-query of MEASURES in its place; such a query sees tables only."""
+
+    def settled(measure: Named) -> Named:
+        node: Any = measure.value.node.transform(lambda part: _value_of(part, clause.passage, measure.value.at, opened))
+        return replace(measure, value=replace(measure.value, node=node))
+
+    return replace(clause, measures=tuple(settled(measure) for measure in clause.measures))
+
+
+def _value_of(node: exp.Expression, passage: Passage, at: int, opened: duckdb.DuckDBPyConnection) -> exp.Expr:
+    """The node; of a scalar sub-query or EXISTS its value."""
+    is_compared = isinstance(node.parent, exp.In | exp.Any | exp.All)
+    if not isinstance(node, exp.Exists | exp.Subquery) or is_compared:
+        return node
+    at = offset_of(node, at)
+    sql = f"SELECT CAST(value AS VARCHAR) AS text, typeof(value) AS kind FROM (SELECT {sql_of(node)} AS value)"
+    (found,) = _run(passage, Statement(sql, (0,), ((at, at + 1),)), opened).to_pylist()
+    value = exp.null() if found["text"] is None else exp.Literal.string(found["text"])
+    return value if found["kind"] == '"NULL"' else exp.cast(value, found["kind"], dialect=ClauseDialect)
 
 
 @contextmanager

@@ -257,10 +257,6 @@ SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES ▸RUNNING A.id AS p PATTE
 SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id PATTERN (A) DEFINE A AS id = (SELECT ▸max(id) FROM t))
 --- error sub-quer
 
---- case EXISTS in a measure
-SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES EXISTS (SELECT ▸1) AS e PATTERN (A))
---- error sub-quer
-
 --- case a window function in a measure
 SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES ▸row_number() OVER (ORDER BY id) AS r PATTERN (A))
 --- error window
@@ -406,3 +402,15 @@ SELECT * FROM t ▸/* what MATCH_RECOGNIZE (ORDER BY id PATTERN (A))
 --- case a value that cannot be cast as the query runs
 SELECT ▸CAST(x AS integer) FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES x AS x PATTERN (A))
 --- error Could not convert
+
+--- case a sub-query in measures that looks at the match
+SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES (SELECT ▸A.id) AS i PATTERN (A))
+--- error A
+
+--- case a sub-query in measures with several values
+SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES (SELECT ▸id FROM t) AS i PATTERN (A))
+--- error More than one row
+
+--- case a list in measures that a sub-query makes
+SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES ▸id IN (SELECT 1) AS i PATTERN (A))
+--- error sub-query

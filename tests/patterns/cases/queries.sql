@@ -356,3 +356,12 @@ SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES COUNT(*) AS n PATTERN (A |
 n
 1
 1
+
+--- case sub-queries in measures
+--- letters t aab
+SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES LAST(A.id + (SELECT max(id) * 10 FROM t)) AS l, (SELECT NULL) AS n,
+  EXISTS (SELECT 1 FROM t WHERE x = 'b') AND COUNT(*) = 2 AS e, array_agg(x || (SELECT 'z')) AS z,
+  (SELECT [DATE '2026-01-02']) AS d PATTERN (A A+?))
+--- wanted
+l  | n    | e    | z        | d date[]
+32 | NULL | true | [az, az] | [2026-01-02]
