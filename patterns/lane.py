@@ -145,6 +145,8 @@ class Lane:
         self.counts = Counts()
         self.site = site
         self.waiting: list[pa.Table] = []
+        self.waiting_saved: tuple[list[pa.Table], list[str], bytes] = ([], [], b"")
+        """The rows that waited when a rule was saved last, the columns, and how they were encoded."""
         self.layout = Layout()
         self.zones: dict[str, Any] = {}
         self.lines: dict[str, Any] = {}
