@@ -27,7 +27,7 @@ from vian.chosen_rule import chosen_rule, other_version
 from vian.commands.rules_service import position_behind
 from vian.errors import WrongUsage
 from vian.options import check_known, opened, settings_for, time_of
-from vian.output import Output
+from vian.output import Output, counted
 from vian.rules import limits_of, misplaced
 
 RuleName = Annotated[str, typer.Argument(metavar="RULE", help="A rule file, or a deployed rule: NAME or NAME@VERSION.")]
@@ -162,8 +162,9 @@ def _show_all(
             output.result(row)
     else:
         rows_shown = [(*_cells(event), recorded.get(event.situation, "no")) for _, event in found]
-        output.table("", (*_COLUMNS, "in the log"), rows_shown)
-        output.line(f"{len(found)} situations")
+        if rows_shown:
+            output.table("", (*_COLUMNS, "in the log"), rows_shown)
+        output.line(counted(len(found), "situation"))
 
 
 def _show_difference(pairs: Sequence[Pair], names: tuple[str, str], output: Output, as_csv: bool) -> None:
