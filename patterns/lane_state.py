@@ -270,6 +270,9 @@ def _insert(lane: Lane, at: int, saved: Saved) -> None:
     for name in lane.columns:
         if waiting.num_rows and name in waiting.column_names and name not in lane.waiting[0].column_names:
             lane.waiting = [lane.waiting[0].append_column(name, waiting.column(name))]
+    # Rows that come later stand in the order of all columns, whichever rule brought one.
+    order = [STREAM, TIME, SEQUENCE, *lane.columns]
+    lane.waiting = [rows.select([name for name in order if name in rows.column_names]) for rows in lane.waiting]
     pools = {name: _integers(saved.tables[name]) for name in _POOLS}
     keys = Keys(lane.input.kinds)
     keys.texts = Texts(header["key_texts"])
