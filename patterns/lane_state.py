@@ -267,12 +267,12 @@ def _insert(lane: Lane, at: int, saved: Saved) -> None:
     member.emitter.restore(header["emitter"])
     member.matches = header["counts"][2]
     waiting = saved.tables["waiting"]
-    for name in lane.columns:
-        if waiting.num_rows and name in waiting.column_names and name not in lane.waiting[0].column_names:
-            lane.waiting = [lane.waiting[0].append_column(name, waiting.column(name))]
-    # Rows that come later stand in the order of all columns, whichever rule brought one.
-    order = [STREAM, TIME, SEQUENCE, *lane.columns]
-    lane.waiting = [rows.select([name for name in order if name in rows.column_names]) for rows in lane.waiting]
+    if waiting.num_rows:
+        (rows,) = lane.waiting
+        # As rows come, so that those that waited stand beside those that come.
+        names = [STREAM, TIME, SEQUENCE, *(n for n in lane.columns if n in {*rows.column_names, *waiting.column_names})]
+        columns = [(rows if name in rows.column_names else waiting).column(name) for name in names]
+        lane.waiting = [pa.table(columns, names=names)]
     pools = {name: _integers(saved.tables[name]) for name in _POOLS}
     keys = Keys(lane.input.kinds)
     keys.texts = Texts(header["key_texts"])
