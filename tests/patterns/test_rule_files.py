@@ -82,6 +82,7 @@ def test_a_rule_file_says_all_of_it() -> None:
         ("{subject}", "{subject.upper}", "3:9", "title: wanted {name} or {name:format}, got {subject.upper}"),
         ("{subject}", "{subject!r}", "3:9", "title: wanted {name} or {name:format}"),
         ("{subject}", "{subject:.2f}", "3:9", "title: Unknown format code 'f'"),
+        ("{subject}", "{n:c}", "3:9", "title: %c arg not in range"),
         ("version: 3", "version: 3\nversion: 4", "3:1", "the key 'version' stands twice"),
         ("version: 3", "version: [3", "3:6", "not YAML"),
         ("version: 3", "version: !!python/none 3", "2:10", "not a YAML value"),
