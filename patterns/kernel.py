@@ -123,6 +123,8 @@ class Scratch(NamedTuple):
     memo: Integers
     stack: Integers
     stack_nulls: Integers
+    work: Integers
+    """by rule, how much was done for it since this was last taken: places tried, and instructions of guards"""
 
 
 # Guards: a postfix program over words of 64 bits, which are integers or the bits of floats.
@@ -581,15 +583,17 @@ def _advance(tables, state, scratch, rule, attempt, rows, row, ordinal, safe_unt
     slots_at = R_BITS + words
     thread = attempts[attempt, A_THREAD]
     attempts[attempt, A_THREAD] = -1
-    tail, count, is_settled = -1, 0, False
+    tail, count, is_settled, work = -1, 0, False, 0
     while thread >= 0:
         following = threads[thread, T_NEXT]
         if not is_settled and count <= most:
             position = base + threads[thread, T_POSITION]
             for at in range(tables.follow_at[position], tables.follow_at[position + 1]):
                 target = tables.follow[at]
+                work += 1
                 if not _has(rows, row, tables.masks, target, words):
                     continue
+                work += 8 + positions[target, P_GUARD_END] - positions[target, P_GUARD]
                 new = state.controls[FREE_THREAD]
                 _copy(state, thread, new, registers)
                 _update(tables, state, target, rows, row, slots_at, new)
@@ -627,6 +631,7 @@ def _advance(tables, state, scratch, rule, attempt, rows, row, ordinal, safe_unt
                     break
         _free_thread(state, thread)
         thread = following
+    scratch.work[rule] += work
     return count
 
 
@@ -1093,6 +1098,13 @@ def drop_partition(state, partition):
     """Forgets all that is remembered of a partition."""
     while state.first_cells[partition] >= 0:
         _free_cell(state, state.first_cells[partition], np.int64(-1))
+
+
+@compiled
+def drop_partitions(state, partitions):
+    """Forgets all that is remembered of these partitions."""
+    for at in range(len(partitions)):
+        drop_partition(state, partitions[at])
 
 
 @compiled

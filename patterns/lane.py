@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
+from numpy.typing import NDArray
 
 from events import EventType
 from patterns import kernel as k
@@ -25,6 +26,7 @@ from patterns.expressions import Column, Expr, Kind, Shift, column_names, walk
 from patterns.inputs import Input, rows_of
 from patterns.interning import Keys, Texts, as_value
 from patterns.kernel import Integers
+from patterns.limits import Limits
 from patterns.matcher import Ending, Event, Found, Trace
 from patterns.packed import Assembly, Packed
 from patterns.places import Places
@@ -39,6 +41,8 @@ from patterns.tails import Tails
 SLOTS_MOST = 62
 _PARTITIONS_LEAST = 1 << 15
 """Partitions below which forgetting them is not worth while."""
+FoundByRule = dict[int, list[tuple[tuple[Any, ...], Found]]]
+"""By the rule's place what was found: the partition's key, and the match."""
 _IMPLIED = frozenset((*STREAM_COLUMNS, *ROW_COLUMNS))
 
 
@@ -54,7 +58,7 @@ class LaneInput:
         kinds: Their types.
         lateness_us: How late a row may be.
         idle_us: After how long a silent source holds nothing; None: never.
-        partitions_most: The limit `partitions`.
+        limits: What the rules may use.
     """
 
     type: str | None
@@ -64,7 +68,7 @@ class LaneInput:
     kinds: tuple[Kind, ...]
     lateness_us: int
     idle_us: int | None
-    partitions_most: int
+    limits: Limits
 
     @classmethod
     def of(cls, packed: Packed) -> "LaneInput":
@@ -79,7 +83,7 @@ class LaneInput:
             kinds=tuple(bound.columns[name] for name in bound.keys),
             lateness_us=microseconds(time.lateness),
             idle_us=None if time.idle is None else microseconds(time.idle),
-            partitions_most=bound.limits.partitions,
+            limits=bound.limits,
         )
 
 
@@ -334,15 +338,16 @@ class Lane:
         return outcomes
 
     def _advance(self) -> dict[str, Outcome]:
-        watermark_us = self.clock.advance()
+        before_us, watermark_us = self.clock.watermark_us, self.clock.advance()
         if watermark_us is None:
             return self._outcomes()
         self._run(self._released(watermark_us))
         self._expire(watermark_us, is_end=False)
-        outcomes = self._outcomes()
+        found = self._found()
+        self._limit(before_us, watermark_us)
+        outcomes = self._outcomes(found)
         for member in self.members:
             member.emitter.forget(watermark_us)
-        self._tidy(watermark_us)
         return outcomes
 
     def _take(self, table: pa.Table) -> tuple[EventRef, ...]:
@@ -481,22 +486,26 @@ class Lane:
 
     # From what was found to situations.
 
-    def _outcomes(self) -> dict[str, Outcome]:
-        """What the step led to for each rule."""
+    def _outcomes(self, found: FoundByRule | None = None) -> dict[str, Outcome]:
+        """What the step led to for each rule; what was found is taken from the kernel unless it was already."""
         self._note_failures()
         late, self._late = self._late, ()
-        found = self._found()
+        found = self._found() if found is None else found
         outcomes = {}
         for at, member in enumerate(self.members):
             if member.failure is not None:
                 continue
             given_up, member.given_up = tuple(member.given_up), []
-            matches = self._emitted(member, found[at]) if at in found else ()
+            try:
+                matches = self._emitted(member, found[at]) if at in found else ()
+            except Exception as error:  # Whatever a rule's situations raise, the other rules of the lane go on.
+                self._fail(at, error)
+                continue
             if matches or late or given_up:
                 outcomes[member.name] = Outcome(matches, late, given_up)
         return outcomes
 
-    def _found(self) -> dict[int, list[tuple[tuple[Any, ...], Found]]]:
+    def _found(self) -> FoundByRule:
         """By rule what was found."""
         state = self.state
         count = int(state.controls[k.FOUND])
@@ -513,7 +522,7 @@ class Lane:
             [0, *ends[:-1].tolist()], ends.tolist(), strict=True,
         )  # fmt: skip
         listed = runs[:total].tolist()
-        found: dict[int, list[tuple[tuple[Any, ...], Found]]] = {}
+        found: FoundByRule = {}
         keys: dict[int, tuple[Any, ...]] = {}
         for record, words, nulls, begin, end in rows:
             partition = record[k.F_PARTITION]
@@ -567,15 +576,21 @@ class Lane:
         self.tails.clear()
         self._place = np.empty(0, dtype=np.int64)
 
-    def _tidy(self, watermark_us: int) -> None:
-        """Forgets partitions that nothing has to be remembered of, when there are many more than before."""
-        if self.keys.count < 2 * self._partitions_least:
+    def _limit(self, before_us: int | None, watermark_us: int) -> None:
+        """Forgets partitions: those that nothing has to be remembered of, and what is too much or too old."""
+        limits, count = self.input.limits, self.keys.count
+        silent_us = None if self.is_strict else limits.expired_before_us(before_us, watermark_us)
+        if silent_us is None and count <= limits.partitions and count < 2 * self._partitions_least:
             return
         kept = np.flatnonzero(self._is_wanted(watermark_us))
-        if len(kept) > self.input.partitions_most:
+        if silent_us is not None:
+            is_silent = self.state.last_rows[kept, k.R_TIME] < silent_us
+            self._give_up(kept[is_silent], f"a partition had no row for {limits.expiry}, which is the limit `expiry`")
+            kept = kept[~is_silent]
+        if len(kept) > limits.partitions:
             kept = self._limited(kept)
         self._keep(kept)
-        self._partitions_least = max(_PARTITIONS_LEAST, min(len(kept), self.input.partitions_most // 2))
+        self._partitions_least = max(_PARTITIONS_LEAST, len(kept))
 
     def _keep(self, kept: Integers) -> None:
         self.keys = self.keys.kept(kept)
@@ -590,7 +605,7 @@ class Lane:
 
     def _limited(self, kept: Integers) -> Integers:
         """Those that stay when the limit `partitions` is reached: where it is strict the rules fail instead."""
-        most = self.input.partitions_most
+        most = self.input.limits.partitions
         why = f"{len(kept)} partitions are remembered; the limit `partitions` is {most}"
         if self.is_strict:
             for at, member in enumerate(self.members):
@@ -600,29 +615,45 @@ class Lane:
             return kept
         by_age = kept[np.argsort(self.state.last_rows[kept, k.R_TIME], kind="stable")]
         gone = by_age[: len(kept) - most // 2]
-        for partition in gone.tolist():
-            self._give_up(partition, why)
+        self._give_up(gone, why)
         return np.sort(by_age[len(gone) :])
 
-    def _give_up(self, partition: int, why: str) -> None:
-        """Forgets a partition, and notes what that cost."""
+    def _give_up(self, gone: Integers, why: str) -> None:
+        """Forgets partitions, and notes what that cost each rule."""
+        if not len(gone):
+            return
+        is_gone = np.zeros(self.keys.count, dtype=np.bool_)
+        is_gone[gone] = True
+        for at, member in enumerate(self.members):
+            lost = np.flatnonzero(self._is_wanted_by(at) & is_gone)
+            if len(lost) and member.failure is None:
+                member.given_up.append(self._cost_of(at, lost, is_gone, why))
+        k.drop_partitions(self.state, gone)
+
+    def _cost_of(self, rule: int, lost: Integers, is_gone: NDArray[np.bool_], why: str) -> GivenUp:
+        """What it costs the rule that these partitions, of which it remembers anything, are forgotten."""
         state = self.state
-        key, cell = None, int(state.first_cells[partition])
-        while cell >= 0:
-            rule, first = int(state.cells[cell, k.C_RULE]), int(state.cells[cell, k.C_FIRST])
-            if first >= 0:
-                key = key or self._partition_of(self.keys.key(partition))
-                since = nearest_time(int(state.attempts[first, k.A_TIME]))
-                cost = GivenUp(key, int(state.cells[cell, k.C_THREADS]), why, since)
-                self.members[rule].given_up.append(cost)
-            cell = int(state.cells[cell, k.C_NEXT])
-        k.drop_partition(state, partition)
+        cells = state.cells[(state.cells[:, k.C_RULE] == rule) & (state.cells[:, k.C_FIRST] >= 0)]
+        cells = cells[is_gone[cells[:, k.C_PARTITION]]]
+        since = state.last_rows[: self.keys.count, k.R_TIME].copy()
+        since[cells[:, k.C_PARTITION]] = state.attempts[cells[:, k.C_FIRST], k.A_TIME]
+        oldest = int(lost[np.argmin(since[lost])])
+        partition = self._partition_of(self.keys.key(oldest))
+        threads = int(cells[:, k.C_THREADS].sum())
+        return GivenUp(partition, threads, why, nearest_time(int(since[oldest])), len(lost))
+
+    def _is_wanted_by(self, rule: int) -> NDArray[np.bool_]:
+        """The partitions of which anything has to be remembered for the rule."""
+        is_wanted = np.zeros(self.keys.count, dtype=np.bool_)
+        watermark_us = self.clock.watermark_us
+        until = int(k.NEVER) * -1 if watermark_us is None else watermark_us
+        k.wanted_by(self.tables, self.state, self.keys.count, until, self._shape.words, rule, is_wanted)
+        return is_wanted
 
     def compile_rest(self) -> None:
         """Runs what is seldom run: forgetting partitions, one by one and all that nothing is remembered of."""
         self._keep(np.flatnonzero(self._is_wanted(0)))
-        for partition in range(self.keys.count):
-            k.drop_partition(self.state, partition)
+        k.drop_partitions(self.state, np.arange(self.keys.count))
         k.drop_rule(self.state, -2)
 
     # How it stands.

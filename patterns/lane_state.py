@@ -270,6 +270,10 @@ def _insert(lane: Lane, at: int, saved: Saved) -> None:
     for name in lane.columns:
         if waiting.num_rows and name in waiting.column_names and name not in lane.waiting[0].column_names:
             lane.waiting = [lane.waiting[0].append_column(name, waiting.column(name))]
+    if waiting.num_rows:
+        # Rows to come have their columns in this order, and tables of one order alone can be put together.
+        order = [STREAM, TIME, SEQUENCE, *lane.columns]
+        lane.waiting = [lane.waiting[0].select([name for name in order if name in lane.waiting[0].column_names])]
     pools = {name: _integers(saved.tables[name]) for name in _POOLS}
     keys = Keys(lane.input.kinds)
     keys.texts = Texts(header["key_texts"])

@@ -324,7 +324,7 @@ class RuleSetRun:
         return lane
 
     def _add_alone(self, name: str, bound: BoundRule, state: bytes | None) -> None:
-        run = RuleRun(bound)
+        run = RuleRun(bound, is_strict=self._is_strict)
         if state is not None:
             run.restore(state)
         else:
