@@ -5,7 +5,7 @@ are final, groups them by partition in the total order, asks each question about
 and makes situations of what the kernel finds. Rules join a lane before its first row.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 from typing import Any
@@ -99,6 +99,7 @@ class Member:
         emitter: Holds back what is to be held back.
         matches: How many situations it gave.
         failure: Why it was set aside.
+        spent_s: What the step took for this rule alone, by the lane's clock.
         readers: How to read its registers: the type of each; None: a number of rows.
     """
 
@@ -111,6 +112,7 @@ class Member:
     matches: int = 0
     failure: Exception | None = None
     given_up: list[GivenUp] = field(default_factory=list)
+    spent_s: float = 0.0
 
     @property
     def bound(self) -> BoundRule:
@@ -136,8 +138,9 @@ class _Grouped:
 class Lane:
     """Rules that read the same rows. Not for several threads at once."""
 
-    def __init__(self, input_: LaneInput, site: Site, *, is_strict: bool) -> None:
+    def __init__(self, input_: LaneInput, site: Site, clock: Callable[[], float], *, is_strict: bool) -> None:
         self.input = input_
+        self.seconds = clock
         self.is_strict = is_strict
         self.members: list[Member] = []
         self.clock = Clock(input_.lateness_us, input_.idle_us)
@@ -151,7 +154,7 @@ class Lane:
         self.texts = Texts()
         self.keys = Keys(input_.kinds)
         self.places = Places(self.zones, self.lines, site)
-        self.recorder = Recorder(self.layout, self.places, self.texts)
+        self.recorder = Recorder(self.layout, self.places, self.texts, clock)
         self.columns: dict[str, Kind] = {}
         self.tails = Tails(0, {})
         self._shape = Shape(0, 0, 0, 0)
@@ -411,12 +414,14 @@ class Lane:
         arrived = self.tails.before(rows, grouped.partitions, grouped.bounds, grouped.order, self.streams.names)
         records = self.recorder.records(arrived, self._wanted)
         self._fail_where_unknown()
+        began = self.seconds()
         cursor = np.array([0, -1], dtype=np.int64)
         while k.run(
             self.tables, self.state, self._scratch, records, grouped.order, grouped.partitions, grouped.bounds, cursor,
             self._shape.words,
         ):  # fmt: skip
             self.state = grown(self.state)
+        self._share_out(self.seconds() - began, rows.num_rows)
         self.tails.keep(arrived, grouped.partitions, grouped.bounds, grouped.order)
 
     def _filtered(self, rows: pa.Table) -> pa.Table | None:
@@ -464,6 +469,19 @@ class Lane:
         while k.expire(self.tables, self.state, until_us, is_end, cursor):
             self.state = grown(self.state)
 
+    # Costs.
+
+    def _share_out(self, kernel_s: float, rows: int) -> None:
+        """Says what the step took for each rule: its part of the kernel's time, and of what its conditions took."""
+        work = self._scratch.work + rows  # each rule is asked of each row whether it may begin there
+        for member, part in zip(self.members, (work / work.sum()).tolist(), strict=True):
+            member.spent_s += kernel_s * part
+        self._scratch.work[:] = 0
+        for expr, spent_s in self.recorder.spent_s.items():
+            askers = [member for member in self.members if expr in member.wanted]
+            for member in askers:
+                member.spent_s += spent_s / len(askers)
+
     # Failures.
 
     def _fail_where_unknown(self) -> None:
@@ -496,11 +514,13 @@ class Lane:
             if member.failure is not None:
                 continue
             given_up, member.given_up = tuple(member.given_up), []
+            began = self.seconds()
             try:
                 matches = self._emitted(member, found[at]) if at in found else ()
             except Exception as error:  # Whatever a rule's situations raise, the other rules of the lane go on.
                 self._fail(at, error)
                 continue
+            member.spent_s += self.seconds() - began
             if matches or late or given_up:
                 outcomes[member.name] = Outcome(matches, late, given_up)
         return outcomes

@@ -16,7 +16,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
 from functools import partial
-from time import perf_counter
+from time import thread_time
 from typing import TYPE_CHECKING
 
 from events import EventType
@@ -44,7 +44,9 @@ class RuleStatus:
         rows_waiting: Rows that are not final yet.
         partitions_open: Partitions that anything is remembered of.
         held_back: Matches that `once_per` and `cooldown` held back.
-        spent_s: Seconds that the rule has taken, by the clock that the set was given.
+        spent_s: Seconds that the rule has taken, by the clock that the set was given. Of what rules do
+            together, the kernel's time is shared out by the work that it had with each, a condition's
+            among those that ask it, the rest evenly.
     """
 
     counts: Counts
@@ -64,7 +66,7 @@ class RuleSetRun:
     def __init__(
         self,
         bounds: Iterable[BoundRule] = (),
-        clock: Callable[[], float] = perf_counter,
+        clock: Callable[[], float] = thread_time,
         *,
         is_strict: bool = False,
         uses_kernel: bool | None = None,
@@ -73,7 +75,8 @@ class RuleSetRun:
 
         Args:
             bounds: The rules.
-            clock: A clock in seconds, by which the rules' cost is measured.
+            clock: A clock in seconds, by which the rules' cost is measured: by default the processor time of this
+                thread, so that a busy machine makes no rule slow.
             is_strict: Whether a limit that is reached ends a rule, as in batch; else what it costs is
                 forgotten, and said in the outcome.
             uses_kernel: Whether the rules run on the compiled kernel, where it can express them; None:
@@ -265,9 +268,11 @@ class RuleSetRun:
             for member in list(lane.members):
                 self._set_aside(member.name, error)
             return {}
-        share_s = (self._clock() - began) / max(len(lane.members), 1)
+        spent_s = self._clock() - began
+        shared_s = max(spent_s - sum(member.spent_s for member in lane.members), 0.0) / max(len(lane.members), 1)
         for member in list(lane.members):
-            self._spent_s[member.name] += share_s
+            self._spent_s[member.name] += member.spent_s + shared_s
+            member.spent_s = 0.0
             if member.failure is not None:
                 self._set_aside(member.name, member.failure)
         return outcomes
@@ -302,7 +307,7 @@ class RuleSetRun:
         from patterns.lane_state import restored
 
         if state is not None:
-            lane = restored(name, packed, state, self._lanes, is_strict=self._is_strict)
+            lane = restored(name, packed, state, self._lanes, self._clock, is_strict=self._is_strict)
             if lane not in self._lanes:
                 self._lanes.append(lane)
         else:
@@ -319,7 +324,7 @@ class RuleSetRun:
         for lane in self._lanes:
             if lane.input == input_ and lane.is_fresh and lane.site == site and lane.has_room(packed):
                 return lane
-        lane = Lane(input_, site, is_strict=self._is_strict)
+        lane = Lane(input_, site, self._clock, is_strict=self._is_strict)
         self._lanes.append(lane)
         return lane
 
