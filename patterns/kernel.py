@@ -13,8 +13,9 @@ gives pools with room, and when there is too little, they stop before a row and 
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from patterns.jit import compiled, compiled_with_memory
 
 Integers = NDArray[np.int64]
 
@@ -59,8 +60,6 @@ FREE_CELL, FREE_ATTEMPT, FREE_THREAD, FREE_TRACE, CELLS, ATTEMPTS, THREADS, TRAC
 # How many have to be free, where there was too little room.
 NEED_CELLS, NEED_ATTEMPTS, NEED_THREADS, NEED_TRACES, NEED_FOUND = range(10, 15)
 CONTROLS = 15
-
-compiled = njit(cache=True, _nrt=False)
 
 FINE, GROW = 0, 1
 """A step is done; or it needs more room and is to be called again."""
@@ -1227,7 +1226,7 @@ def intern(keys, table, slots, known, numbers):
     return known
 
 
-@njit(cache=True)
+@compiled_with_memory
 def group(numbers, time, rank, sequence, place, partitions, bounds, order):
     """Puts rows in groups of one partition, each in the order of time, rank and sequence.
 
@@ -1269,7 +1268,7 @@ def group(numbers, time, rank, sequence, place, partitions, bounds, order):
     return groups
 
 
-@njit(cache=True)
+@compiled_with_memory
 def _sort(order, begin, end, time, rank, sequence):
     """By insertion while few rows are out of order, else by merging."""
     moves, most = 0, 16 * (end - begin)
@@ -1286,7 +1285,7 @@ def _sort(order, begin, end, time, rank, sequence):
             return
 
 
-@njit(cache=True)
+@compiled_with_memory
 def _merge_sort(order, begin, end, time, rank, sequence):
     width = 1
     source = order[begin:end].copy()

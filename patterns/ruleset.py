@@ -80,12 +80,8 @@ class RuleSetRun:
             is_strict: Whether a limit that is reached ends a rule, as in batch; else what it costs is
                 forgotten, and said in the outcome.
             uses_kernel: Whether the rules run on the compiled kernel, where it can express them; None:
-                if it is compiled on this machine, see `patterns.compiling`.
+                if it is compiled on this machine when they come, see `patterns.compiling`.
         """
-        if uses_kernel is None:
-            from patterns.compiling import is_compiled
-
-            uses_kernel = is_compiled()
         self._uses_kernel = uses_kernel
         self.failures: dict[str, Exception] = {}
         self._clock = clock
@@ -291,10 +287,18 @@ class RuleSetRun:
         if not lane.members:
             self._lanes.remove(lane)
 
+    @property
+    def _may_use_kernel(self) -> bool:
+        if self._uses_kernel is None:
+            from patterns.compiling import is_compiled
+
+            return is_compiled()
+        return self._uses_kernel
+
     def _packed(self, bound: BoundRule, state: bytes | None) -> "Packed | None":
         """The rule for the kernel; None: it runs alone. A state goes on where it was made."""
         is_of_kernel = state is not None and state.startswith(KERNEL_STATE)
-        if not is_of_kernel and (state is not None or not self._uses_kernel):
+        if not is_of_kernel and (state is not None or not self._may_use_kernel):
             return None
         from patterns.packed import NotPacked, pack
 
