@@ -1,12 +1,19 @@
 """The pattern engine in process, from Arrow batches in order of arrival to situations.
 
-    python -m benchmarks.patterns [--quick] [--results FILE]
+    python -m benchmarks.patterns [--quick] [--flink] [--results FILE]
 
-Events per CPU-second of this process, medians of several runs after one that warms up; wall clock beside it.
+- rules: events per CPU-second of this process, medians of several runs after one that warms up; wall clock
+  beside it. Of each situation its end is read, which is all that Flink's job writes;
+- line crossing by the rule and by DuckDB's window functions, in turns;
+- hard patterns: how long, and how that grows with the rows;
+- single figures: state, starting, reloading, small steps.
+
+With `--flink` Flink runs the same rows in the same run, see `benchmarks.flink`; that takes a quarter of an hour more.
 """
 
 import argparse
 import gc
+import json
 import statistics
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -15,16 +22,14 @@ from pathlib import Path
 
 import pyarrow as pa
 
+from benchmarks import flink
 from benchmarks.measuring import keep
+from benchmarks.pattern_costs import beside_duckdb, bound, costs, run, worst_cases
 from benchmarks.pattern_rows import RULES, rows, zone_rules
-from events import load_catalogue
-from patterns import BoundRule, RuleSetRun, bind, parse_rule
-from patterns.processor import schemas
+from patterns import BoundRule, RuleSetRun
+from patterns.compiling import compile_kernel
 
 __all__ = ["RULES", "Measured", "main", "measured", "rows", "run_all"]
-
-BATCH = 50_000
-"""rows a push"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,16 +49,42 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="a tenth of the rows, three runs")
     parser.add_argument("--results", type=Path, default=Path("benchmarks/results/patterns.json"))
+    parser.add_argument("--flink", action="store_true", help="Flink on the same rows, in the same run")
     options = parser.parse_args(arguments)
+    quick = options.quick
+    compile_kernel()
     found = []
-    for each in run_all(is_quick=options.quick):
+    for each in run_all(is_quick=quick):
         print(
             f"{each.what:20} {each.keys:>9,} keys {each.events:>10,} events {each.matches:>7,} matches "
             f"{each.events_per_cpu_s / 1e6:7.2f} M/CPU-s {each.events_per_wall_s / 1e6:7.2f} M/s",
             flush=True,
         )
         found.append(each)
-    keep(options.results, is_quick=options.quick, in_process=[asdict(each) for each in found])
+    one, many = found[-2:]
+    print(f"100 zone rules cost {one.events_per_cpu_s / many.events_per_cpu_s:.1f} times what one costs")
+    duckdb = beside_duckdb(events=300_000 if quick else 3_000_000, rounds=3 if quick else 5)
+    print(f"{duckdb.what}: {duckdb.ours:,.0f}, {duckdb.reference_name} {duckdb.reference:,.0f}: {duckdb.ratio:.2f}")
+    hard = []
+    for worst in worst_cases(count=100_000 if quick else 1_000_000):
+        print(
+            f"{worst.what}, as a {worst.way}, {worst.rows:,} rows: {worst.error or ''}{worst.seconds:.2f} s, "
+            f"growth {worst.growth:.2f}, {worst.matches:,} matches",
+            flush=True,
+        )
+        hard.append(worst)
+    single = costs(is_quick=quick)
+    print(json.dumps(asdict(single), indent=1))
+    keep(
+        options.results,
+        is_quick=quick,
+        in_process=[asdict(each) for each in found],
+        duckdb=duckdb.plain(),
+        worst_cases=[asdict(each) for each in hard],
+        costs=asdict(single),
+    )
+    if options.flink:
+        flink.main(["--quick"] if quick else [])
 
 
 def run_all(*, is_quick: bool) -> Iterator[Measured]:
@@ -70,9 +101,8 @@ def run_all(*, is_quick: bool) -> Iterator[Measured]:
 
 def measured(what: str, bounds: Sequence[BoundRule], table: pa.Table, keys: int, runs: int) -> Measured:
     """The rules over the rows, several times."""
-    batches = list(table.to_batches(max_chunksize=BATCH))
-    costs = [timed(lambda: _matches(bounds, batches)) for _ in range(runs + 1)][1:]
-    cpu_s, wall_s, matches = (statistics.median(side) for side in zip(*costs, strict=True))
+    took = [timed(lambda: run(RuleSetRun(bounds), table)) for _ in range(runs + 1)][1:]
+    cpu_s, wall_s, matches = (statistics.median(side) for side in zip(*took, strict=True))
     return Measured(what, keys, table.num_rows, int(matches), table.num_rows / cpu_s, table.num_rows / wall_s)
 
 
@@ -82,20 +112,6 @@ def timed(work: Callable[[], int]) -> tuple[float, float, int]:
     cpu, wall = time.process_time(), time.perf_counter()
     result = work()
     return time.process_time() - cpu, time.perf_counter() - wall, result
-
-
-def bound(text: str) -> BoundRule:
-    """The rule of this file, bound to the catalogue."""
-    return bind(parse_rule(text), schemas(load_catalogue()))
-
-
-def _matches(bounds: Sequence[BoundRule], batches: Sequence[pa.RecordBatch]) -> int:
-    group = RuleSetRun(bounds)
-    steps = [group.push(batch) for batch in batches]
-    steps.append(group.finish())
-    if group.failures:
-        raise RuntimeError(f"rules failed: {group.failures}")
-    return sum(len(outcome.matches) for step in steps for outcome in step.values())
 
 
 if __name__ == "__main__":

@@ -28,8 +28,10 @@ def main() -> None:
 def page() -> str:
     """The page's text."""
     sections = [*_log(_loaded("log")), *_sustained(_loaded("sustained")), *_growth(_loaded("growth"))]
-    if all((RESULTS / f"{name}.json").exists() for name in ("patterns", "flink")):
-        sections += beside_flink(_loaded("patterns"), _loaded("flink"))
+    if (RESULTS / "patterns.json").exists():
+        if (RESULTS / "flink.json").exists():
+            sections += beside_flink(_loaded("patterns"), _loaded("flink"))
+        sections += of_rules(_loaded("patterns"))
     return "\n".join([_HEAD, *sections])
 
 
@@ -102,6 +104,55 @@ def beside_flink(patterns: dict[str, Any], flink: dict[str, Any]) -> Iterator[st
         target = _target({"ratio": ratio, **_FLINK_TARGET})
         yield f"| {row['what']} | {row['keys']:,} | {shown} | {ratio:.0f} | {target} |"
     yield ""
+
+
+def of_rules(said: dict[str, Any]) -> Iterator[str]:
+    """The section on what rules cost: many keys, many rules, hard patterns, state and starting."""
+    yield f"## Rules in process\n\n`python -m benchmarks.patterns`, {_when(said)}; CPU of the process.\n"
+    yield "| rules | keys | events per CPU-second | events a second | situations |\n|---|---:|---:|---:|---:|"
+    for row in said["in_process"]:
+        rates = f"{row['events_per_cpu_s']:,.0f} | {row['events_per_wall_s']:,.0f}"
+        yield f"| {row['what']} | {row['keys']:,} | {rates} | {row['matches']:,} |"
+    yield "\n| what | reached | target |\n|---|---:|---|"
+    for what, reached, unit, row in _single(said):
+        yield f"| {what} | {reached:,.{_digits(reached)}f}{unit} | {_target({'ratio': reached, **row})} |"
+    yield "\n| pattern | as | rows | CPU | growth: 1 is linear | matches |\n|---|---|---:|---:|---:|---:|"
+    for row in said["worst_cases"]:
+        growth = row["error"] or f"{row['growth']:.2f}"
+        what = row["what"].replace("|", "\\|")
+        yield f"| {what} | {row['way']} | {row['rows']:,} | {row['seconds']:.1f} s | {growth} | {row['matches']:,} |"
+    yield ""
+
+
+def _single(said: dict[str, Any]) -> Iterator[tuple[str, float, str, dict[str, Any]]]:
+    """What was reached, in which unit, and what was wanted."""
+    rates = {(row["what"], row["keys"]): row["events_per_cpu_s"] for row in said["in_process"]}
+    for what in ("zone intrusion", "A then B", "line crossing"):
+        share = rates[what, 1_000_000] / rates[what, 10_000]
+        yield f"{what} at 1,000,000 keys, of its rate at 10,000", share, "", _wanted(0.2)
+    many, one = rates["100 zone rules", 10_000], rates["one zone rule", 10_000]
+    yield "100 zone rules, events per CPU-second", many, "", _wanted(2e6)
+    yield "100 zone rules, of 100 times what one costs", one / many / 100, "", _wanted(1 / 15, at_least=False)
+    yield f"line crossing beside {said['duckdb']['reference_name']}", said["duckdb"]["ratio"], " times", _wanted(1.0)
+    costs = said["costs"]
+    what = f"checkpoint of {costs['checkpoint_partitions']:,} open partitions"
+    yield what, costs["checkpoint_ms"], " ms", _wanted(100, at_least=False)
+    yield f"{what}, size", costs["checkpoint_mb"], " MB", _wanted(20, at_least=False)
+    yield f"{what}, read again", costs["restore_ms"], " ms", _wanted(None)
+    yield "start to first match", costs["start_cpu_s"], " s", _wanted(2, at_least=False)
+    yield "start to first match, kernel never compiled", costs["first_start_cpu_s"], " s", _wanted(2, at_least=False)
+    yield "compiling the kernel, once", costs["compiling_cpu_s"], " s", _wanted(None)
+    yield "reload of one rule among 100", costs["reload_ms"], " ms", _wanted(50, at_least=False)
+    yield "a step of 2,500 rows, 20 rules", costs["step_ms"], " ms", _wanted(None)
+
+
+def _wanted(target: float | None, *, at_least: bool = True) -> dict[str, Any]:
+    return {"target": target, "at_least": at_least}
+
+
+def _digits(value: float) -> int:
+    """So many that three count."""
+    return 0 if value >= 100 else 1 if value >= 10 else 2 if value >= 1 else 3
 
 
 _FLINK_TARGET = {"target": 50.0, "at_least": True}

@@ -181,7 +181,7 @@ class _Builder:
 
     def check_condition(self, tree: exp.Expr) -> None:
         kind = self.symbols.check_types("DEFINE", self.scalar, tree, self.types())
-        if kind not in ("BOOLEAN", '"NULL"'):
+        if kind != "BOOLEAN" and not isinstance(tree.unnest(), exp.Null):
             raise self.symbols.clause.passage.error(f"DEFINE: wanted a condition, got {kind}", self.scalar.at)
 
     def types(self) -> dict[str, str]:

@@ -8,6 +8,7 @@ is a name and its arguments. Navigation and `RUNNING`, `FINAL` are told apart by
 
 from typing import ClassVar
 
+from sqlglot import exp
 from sqlglot.dialects.duckdb import DuckDB
 from sqlglot.parser import Parser
 from sqlglot.parsers.duckdb import DuckDBParser
@@ -19,8 +20,12 @@ class ClauseDialect(DuckDB):
     """DuckDB's SQL with functions by name."""
 
     class Parser(DuckDBParser):
-        """Reads every function as `Anonymous`, but for those of a grammar of their own."""
+        """Reads every function as `Anonymous`, but for those of a grammar of their own.
 
+        `list(x)[1]` is a place in a list; sqlglot takes `list [1]` for a list that is written out.
+        """
+
+        ARRAY_CONSTRUCTORS: ClassVar = {"ARRAY": exp.Array}
         FUNCTIONS: ClassVar = {}
         PLACEHOLDER_PARSERS: ClassVar = {**Parser.PLACEHOLDER_PARSERS, **DuckDBParser.PLACEHOLDER_PARSERS}
         NO_PAREN_FUNCTIONS: ClassVar = {}

@@ -15,6 +15,11 @@ def compiled(function: Callable[..., Any]) -> Any:
     return _kept(function, _nrt=False)
 
 
+def inlined(function: Callable[..., Any]) -> Any:
+    """The same as `compiled`, written out where it is called: a call would hand over a hundred words and more."""
+    return _kept(function, _nrt=False, forceinline=True)
+
+
 def compiled_with_memory(function: Callable[..., Any]) -> Any:
     """The function, compiled; it may allocate."""
     return _kept(function)

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from patterns.jit import compiled, compiled_with_memory
+from patterns.jit import compiled, compiled_with_memory, inlined
 
 Integers = NDArray[np.int64]
 
@@ -29,8 +29,8 @@ U_WIDTH = 14
 SKIP_PAST_LAST_ROW, SKIP_TO_NEXT_ROW, SKIP_TO_FIRST, SKIP_TO_LAST = 0, 1, 2, 3
 
 # A position.
-P_ACCEPTS, P_VARIABLE, P_GUARD, P_GUARD_END, P_UPDATES, P_UPDATES_END, P_LIVE, P_LIVE_END = range(8)
-P_WIDTH = 8
+P_ACCEPTS, P_VARIABLE, P_GUARD, P_GUARD_END, P_UPDATES, P_UPDATES_END, P_LIVE, P_LIVE_END, P_IS_EARLY = range(9)
+P_WIDTH = 9
 
 # How a register takes a row.
 FIRST, LAST, ROWS, VALUES, SUM, MIN, MAX, F_SUM, F_MIN, F_MAX = range(10)
@@ -61,6 +61,10 @@ FREE_CELL, FREE_ATTEMPT, FREE_THREAD, FREE_TRACE, CELLS, ATTEMPTS, THREADS, TRAC
 NEED_CELLS, NEED_ATTEMPTS, NEED_THREADS, NEED_TRACES, NEED_FOUND = range(10, 15)
 CONTROLS = 15
 
+BITS = 64
+"""bits a word"""
+ALONE, FOLLOWED = 0, 1
+"""A match may begin because of a row by itself, or because of the row and the next."""
 FINE, GROW = 0, 1
 """A step is done; or it needs more room and is to be called again."""
 SKIP_NOWHERE, SKIP_FOR_EVER, TOO_MANY_THREADS = 1, 2, 3
@@ -85,6 +89,12 @@ class Tables(NamedTuple):
     """for each beginning: where its next masks begin and end; equal: no next row is needed"""
     first_masks: Integers
     next_masks: Integers
+    watched: Integers
+    """(2, words + 1): for beginnings `ALONE` and `FOLLOWED` the bits that name some in `watch`; the last is no bit"""
+    watch_at: Integers
+    """where what a bit names begins in `watch`, first for `ALONE`, then for `FOLLOWED`"""
+    watch: Integers
+    """a rule, its beginning in `pairs`, and one of its next masks, or -1"""
     fan: Integers
     """in its one place, the longest list in `follow`"""
 
@@ -295,7 +305,7 @@ def _is_true(tables, state, scratch, begin, end, rows, row, slots_at, thread):
 # Records.
 
 
-@compiled
+@inlined
 def _release(state, trace):
     """One reference to the trace less; what nothing refers to any more is free."""
     traces, controls = state.traces, state.controls
@@ -310,7 +320,7 @@ def _release(state, trace):
         trace = parent
 
 
-@compiled
+@inlined
 def _extended(state, trace, variable, rows, row, ordinal):
     """The trace with one row more, as a new record."""
     traces, controls = state.traces, state.controls
@@ -344,7 +354,26 @@ def _extended(state, trace, variable, rows, row, ordinal):
     return new
 
 
-@compiled
+@inlined
+def _lengthened(state, trace, variable, rows, row, ordinal):
+    """The trace with one row more, for who gives up the trace as it was."""
+    traces = state.traces
+    if (
+        trace >= 0
+        and traces[trace, X_REFERENCES] == 1
+        and traces[trace, X_VARIABLE] == variable
+        and traces[trace, X_STREAM] == rows[row, R_STREAM]
+        and traces[trace, X_LAST] < rows[row, R_SEQUENCE]
+    ):
+        traces[trace, X_LAST] = rows[row, R_SEQUENCE]
+        traces[trace, X_ROWS] += 1
+        return trace
+    longer = _extended(state, trace, variable, rows, row, ordinal)
+    _release(state, trace)
+    return longer
+
+
+@inlined
 def _take_thread(state):
     new = state.controls[FREE_THREAD]
     state.controls[FREE_THREAD] = state.threads[new, T_NEXT]
@@ -352,7 +381,7 @@ def _take_thread(state):
     return new
 
 
-@compiled
+@inlined
 def _free_thread(state, thread):
     _release(state, state.threads[thread, T_TRACE])
     state.threads[thread, T_TRACE] = -1
@@ -361,7 +390,7 @@ def _free_thread(state, thread):
     state.controls[THREADS] += 1
 
 
-@compiled
+@inlined
 def _copy(state, source, target, registers):
     for at in range(registers):
         state.registers[target, at] = state.registers[source, at]
@@ -459,7 +488,7 @@ def _remove_attempts(state, cell, after, from_ordinal, below_ordinal):
 # One row.
 
 
-@compiled
+@inlined
 def _has(rows, row, masks, mask, words):
     for word in range(words):
         wanted = masks[mask, word]
@@ -468,7 +497,7 @@ def _has(rows, row, masks, mask, words):
     return True
 
 
-@compiled
+@inlined
 def _update(tables, state, position, rows, row, slots_at, thread):
     registers, threads = state.registers, state.threads
     for at in range(tables.positions[position, P_UPDATES], tables.positions[position, P_UPDATES_END]):
@@ -515,7 +544,7 @@ def _combine(registers, thread, register, how, rows, row, column, holds_nothing)
             floats[thread, register] = held if held >= value else value
 
 
-@compiled
+@inlined
 def _is_new(tables, state, scratch, position, thread, start, safe_until):
     """Whether no thread before has this position and these live registers and stands for this start too."""
     stamp = scratch.controls[_STAMP]
@@ -560,7 +589,13 @@ def _same(tables, state, begin, end, one, other):
     return True
 
 
-@compiled
+@inlined
+def _passes(tables, state, scratch, position, rows, row, slots_at, thread):
+    begin, end = tables.positions[position, P_GUARD], tables.positions[position, P_GUARD_END]
+    return begin == end or _is_true(tables, state, scratch, begin, end, rows, row, slots_at, thread)
+
+
+@inlined
 def _settle(state, attempt, thread, rows, row, ordinal):
     """This thread is the attempt's best match so far."""
     attempts = state.attempts
@@ -573,38 +608,50 @@ def _settle(state, attempt, thread, rows, row, ordinal):
     attempts[attempt, E_ORDINAL] = ordinal
 
 
-@compiled
+@inlined
 def _advance(tables, state, scratch, rule, attempt, rows, row, ordinal, safe_until, most, words):
     """Every thread of the attempt takes the row, or dies; how many there are then, at most one more than `most`."""
     threads, attempts, positions = state.threads, state.attempts, tables.positions
     start = attempts[attempt, A_ORDINAL]
     registers, base = tables.rules[rule, U_REGISTERS], tables.rules[rule, U_BASE]
+    merges = tables.rules[rule, U_MERGES] != 0
     slots_at = R_BITS + words
     thread = attempts[attempt, A_THREAD]
     attempts[attempt, A_THREAD] = -1
     tail, count, is_settled, work = -1, 0, False, 0
     while thread >= 0:
-        following = threads[thread, T_NEXT]
+        following, is_free = threads[thread, T_NEXT], True
         if not is_settled and count <= most:
             position = base + threads[thread, T_POSITION]
-            for at in range(tables.follow_at[position], tables.follow_at[position + 1]):
+            last = tables.follow_at[position + 1] - 1
+            for at in range(tables.follow_at[position], last + 1):
                 target = tables.follow[at]
                 work += 1
                 if not _has(rows, row, tables.masks, target, words):
                     continue
                 work += 8 + positions[target, P_GUARD_END] - positions[target, P_GUARD]
-                new = state.controls[FREE_THREAD]
-                _copy(state, thread, new, registers)
+                is_early = positions[target, P_IS_EARLY] != 0
+                if is_early and not _passes(tables, state, scratch, target, rows, row, slots_at, thread):
+                    continue
+                # What goes the last way that there is goes as it is.
+                is_same = at == last
+                new = thread if is_same else state.controls[FREE_THREAD]
+                if not is_same:
+                    _copy(state, thread, new, registers)
                 _update(tables, state, target, rows, row, slots_at, new)
-                begin, end = positions[target, P_GUARD], positions[target, P_GUARD_END]
-                if begin < end and not _is_true(tables, state, scratch, begin, end, rows, row, slots_at, new):
+                if not is_early and not _passes(tables, state, scratch, target, rows, row, slots_at, new):
                     continue
-                if not _is_new(tables, state, scratch, target, new, start, safe_until):
+                is_only = is_same and following < 0 and count == 0 and not merges
+                if not is_only and not _is_new(tables, state, scratch, target, new, start, safe_until):
                     continue
-                _take_thread(state)
                 variable = positions[target, P_VARIABLE]
+                if is_same:
+                    is_free = False
+                    threads[new, T_TRACE] = _lengthened(state, threads[new, T_TRACE], variable, rows, row, ordinal)
+                else:
+                    _take_thread(state)
+                    threads[new, T_TRACE] = _extended(state, threads[thread, T_TRACE], variable, rows, row, ordinal)
                 threads[new, T_POSITION] = target - base
-                threads[new, T_TRACE] = _extended(state, threads[thread, T_TRACE], variable, rows, row, ordinal)
                 threads[new, T_NEXT] = -1
                 goes_on = tables.follow_at[target] < tables.follow_at[target + 1]
                 if goes_on:
@@ -628,13 +675,14 @@ def _advance(tables, state, scratch, rule, attempt, rows, row, ordinal, safe_unt
                     break
                 if count > most:
                     break
-        _free_thread(state, thread)
+        if is_free:
+            _free_thread(state, thread)
         thread = following
     scratch.work[rule] += work
     return count
 
 
-@compiled
+@inlined
 def _begin(tables, state, cell, rule, rows, row, ordinal):
     """A match may begin at this row."""
     cells, attempts, controls = state.cells, state.attempts, state.controls
@@ -667,7 +715,7 @@ def _begin(tables, state, cell, rule, rows, row, ordinal):
     return attempt
 
 
-@compiled
+@inlined
 def _step(tables, state, scratch, cell, rule, rows, row, ordinal, words):
     """Every thread of every attempt takes the row, or dies; whether there are no more than the limit."""
     cells, attempts = state.cells, state.attempts
@@ -819,7 +867,7 @@ def _expire(tables, state, cell, rule, until):
             return
 
 
-@compiled
+@inlined
 def _take(tables, state, scratch, cell, rule, rows, row, ordinal, words):
     """The cell's attempts take the row, and what is final is handed on."""
     if not _step(tables, state, scratch, cell, rule, rows, row, ordinal, words):
@@ -833,37 +881,69 @@ def _take(tables, state, scratch, cell, rule, rows, row, ordinal, words):
 # Where matches may begin.
 
 
-@compiled
-def _begins(tables, rule, rows, row, next_rows, next_row, words, alone, followed):
-    """Whether a match of the rule may begin at the row: `alone` by itself, `followed` because of the next."""
-    if followed and not alone:
-        for pair in range(tables.rules[rule, U_PAIRS], tables.rules[rule, U_PAIRS_END]):
-            is_alone = tables.pairs[pair, 0] == tables.pairs[pair, 1]
-            if is_alone and _has(rows, row, tables.first_masks, pair, words):
-                return False
-    for pair in range(tables.rules[rule, U_PAIRS], tables.rules[rule, U_PAIRS_END]):
-        begin, end = tables.pairs[pair, 0], tables.pairs[pair, 1]
-        if (alone if begin == end else followed) and _has(rows, row, tables.first_masks, pair, words):
-            if begin == end:
-                return True
-            for mask in range(begin, end):
-                if _has(next_rows, next_row, tables.next_masks, mask, words):
-                    return True
-    return False
+@inlined
+def _bit_of(power):
+    """The number of the only bit that is set."""
+    bit = 0
+    if power & 0xFFFFFFFF == 0:
+        bit += 32
+        power >>= 32
+    if power & 0xFFFF == 0:
+        bit += 16
+        power >>= 16
+    if power & 0xFF == 0:
+        bit += 8
+        power >>= 8
+    if power & 0xF == 0:
+        bit += 4
+        power >>= 4
+    if power & 0x3 == 0:
+        bit += 2
+        power >>= 2
+    return bit + 1 if power & 1 == 0 else bit
 
 
 @compiled
-def _starts(tables, state, rows, row, next_rows, next_row, words, alone, followed, starts):
-    """Writes the rules of which a match may begin at the row, and returns how many there are."""
-    count = 0
-    for rule in range(len(tables.rules)):
-        if _begins(tables, rule, rows, row, next_rows, next_row, words, alone, followed) and not state.failures[rule]:
-            starts[count] = rule
-            count += 1
+def _candidates(tables, state, scratch, how, rows, row, next_rows, next_row, words, starts, count):
+    """Adds the rules that may begin in this way and are not marked; only those are looked at that a set bit names."""
+    stamp = scratch.controls[_ROW_STAMP]
+    for word in range(words + 1):
+        bits = tables.watched[how, word]
+        if word < words:
+            bits &= next_rows[next_row, R_BITS + word]
+        while bits != 0:
+            low = bits & -bits
+            bits ^= low
+            named = how * (BITS * words + 1) + BITS * word + _bit_of(low)
+            for at in range(tables.watch_at[named], tables.watch_at[named + 1]):
+                rule, pair, mask = tables.watch[at, 0], tables.watch[at, 1], tables.watch[at, 2]
+                if scratch.started[rule] == stamp or state.failures[rule]:
+                    continue
+                if not _has(rows, row, tables.first_masks, pair, words):
+                    continue
+                if mask < 0 or _has(next_rows, next_row, tables.next_masks, mask, words):
+                    scratch.started[rule] = stamp
+                    starts[count] = rule
+                    count += 1
     return count
 
 
-@compiled
+@inlined
+def _starts(tables, state, scratch, rows, row, next_rows, next_row, words, alone, followed, starts):
+    """Writes the rules of which a match may begin at the row, and returns how many there are.
+
+    `alone`: because of the row by itself; `followed`: because of the next, and not by itself.
+    """
+    scratch.controls[_ROW_STAMP] += 1
+    count = _candidates(tables, state, scratch, ALONE, rows, row, rows, row, words, starts, 0)
+    if not alone:
+        count = 0
+    if followed:
+        count = _candidates(tables, state, scratch, FOLLOWED, rows, row, next_rows, next_row, words, starts, count)
+    return count
+
+
+@inlined
 def _known_starts(tables, state, scratch, rows, row, next_row, words):
     """The same as `_starts` for a row and its next in `rows`; remembers the answer for rows of the same bits."""
     memo = scratch.memo
@@ -874,7 +954,7 @@ def _known_starts(tables, state, scratch, rows, row, next_row, words):
                 is_known = False
                 break
     if not is_known:
-        memo[0] = _starts(tables, state, rows, row, rows, next_row, words, True, True, scratch.starts)
+        memo[0] = _starts(tables, state, scratch, rows, row, rows, next_row, words, True, True, scratch.starts)
         for word in range(words):
             memo[1 + word] = rows[row, R_BITS + word]
             memo[1 + words + word] = rows[next_row, R_BITS + word]
@@ -884,7 +964,7 @@ def _known_starts(tables, state, scratch, rows, row, next_row, words):
 # Many rows.
 
 
-@compiled
+@inlined
 def _has_room(tables, state, partition):
     cells, controls, rules = state.cells, state.controls, len(tables.rules)
     threads, attempts, count, most = 0, 0, 0, 0
@@ -910,7 +990,7 @@ def _has_room(tables, state, partition):
     )
 
 
-@compiled
+@inlined
 def _cell_of(state, rule, partition):
     cell = state.first_cells[partition]
     while cell >= 0 and state.cells[cell, C_RULE] != rule:
@@ -923,7 +1003,7 @@ def _begin_before(tables, state, scratch, partition, rows, row, words):
     """Begins matches at the partition's last row, which this first new row shows to be possible."""
     last_rows = state.last_rows
     starts = scratch.other_starts
-    count = _starts(tables, state, last_rows, partition, rows, row, words, False, True, starts)
+    count = _starts(tables, state, scratch, last_rows, partition, rows, row, words, False, True, starts)
     ordinal = state.last_ordinals[partition]
     for at in range(count):
         rule = starts[at]
@@ -941,7 +1021,7 @@ def _begin_before(tables, state, scratch, partition, rows, row, words):
         )
 
 
-@compiled
+@inlined
 def _run_row(tables, state, scratch, partition, rows, row, ordinal, starts, count, words):
     cells = state.cells
     scratch.controls[_ROW_STAMP] += 1
@@ -1008,7 +1088,7 @@ def run(tables, state, scratch, rows, order, partitions, bounds, cursor, words):
                 count = _known_starts(tables, state, scratch, rows, row, order[at + 1], words)
             else:
                 starts = scratch.other_starts
-                count = _starts(tables, state, rows, row, rows, row, words, True, False, starts)
+                count = _starts(tables, state, scratch, rows, row, rows, row, words, True, False, starts)
             if count > 0 or state.first_cells[partition] >= 0:
                 _run_row(tables, state, scratch, partition, rows, row, base + at, starts, count, words)
         cursor[1] = -1

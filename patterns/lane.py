@@ -5,6 +5,7 @@ are final, groups them by partition in the total order, asks each question about
 and makes situations of what the kernel finds. Rules join a lane before its first row.
 """
 
+from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
@@ -32,7 +33,7 @@ from patterns.packed import Assembly, Packed
 from patterns.places import Places
 from patterns.pools import Shape, grown, new_scratch, new_state, with_partitions, with_partitions_kept
 from patterns.records import ROW_COLUMNS, STREAM_COLUMNS, Arrived, Layout, Recorder, RowEvaluator
-from patterns.rows import SEQUENCE, STREAM, TIME, StreamNumbers, encoded, normalised
+from patterns.rows import SEQUENCE, STREAM, TIME, StreamNumbers, Units, encoded, normalised
 from patterns.running import Counts, GivenUp, Outcome, decided_order, needs
 from patterns.site import Site
 from patterns.situations import EventRef, Match, Narrator, as_python, event_ref, nearest_time
@@ -43,6 +44,9 @@ _PARTITIONS_LEAST = 1 << 15
 """Partitions below which forgetting them is not worth while."""
 FoundByRule = dict[int, list[tuple[tuple[Any, ...], Found]]]
 """By the rule's place what was found: the partition's key, and the match."""
+_WAITING_TABLES_MOST = 32
+"""Tables of rows that wait, each of which is looked at in each step."""
+_BEFORE_ALL_US = -(2**63)
 _IMPLIED = frozenset((*STREAM_COLUMNS, *ROW_COLUMNS))
 
 
@@ -161,7 +165,6 @@ class Lane:
         self.state = new_state(self._shape)
         self._place = np.empty(0, dtype=np.int64)
         self._partitions_least = _PARTITIONS_LEAST
-        self._late: tuple[EventRef, ...] = ()
         self._is_stale = False
 
     # Rules.
@@ -307,13 +310,48 @@ class Lane:
             self.recorder.forget_rasters()
         return {}
 
-    def push(self, table: pa.Table, newest_by_source: Sequence[tuple[str, int]]) -> dict[str, Outcome]:
-        """Takes rows as they arrive, whose envelope is whole, and for each source its newest time."""
+    def push_units(
+        self, arrived: Sequence[Units], newest: Sequence[Sequence[tuple[str, int]]]
+    ) -> list[dict[str, Outcome]]:
+        """Takes units of arrival in order: for each of them what it led to.
+
+        Each unit is judged against the watermark as those before left it, then moves it. Rows that are final by
+        the end are run together: what decided a match says which unit made that final.
+
+        Args:
+            arrived: The units, whose envelope is whole.
+            newest: For each unit, for each source its newest time.
+        """
         self.prepare()
-        self._late = self._take(table)
-        for source, newest in newest_by_source:
-            self.clock.observe(source, newest)
-        return self._advance()
+        outcomes: list[dict[str, Outcome]] = []
+        held: list[pa.Table] = []
+        late: list[tuple[EventRef, ...]] = []
+        reached: list[int | None] = []
+        before_us = self.clock.watermark_us
+        parts = [rows for units in arrived for rows in self._rows_of_units(units)]
+        for rows, newest_by_source in zip(parts, newest, strict=True):
+            late.append(self._judged(rows, held))
+            for source, newest_us in newest_by_source:
+                self.clock.observe(source, newest_us)
+            reached.append(self.clock.advance())
+            if self._is_limit_near(before_us, held):
+                # What is given up must not depend on which units came together.
+                self._hold(held)
+                outcomes += self._advanced(late, reached, before_us)
+                held, late, reached, before_us = [], [], [], self.clock.watermark_us
+        if late:
+            self._hold(held)
+            outcomes += self._advanced(late, reached, before_us)
+        return outcomes
+
+    def _is_limit_near(self, before_us: int | None, held: Sequence[pa.Table]) -> bool:
+        """Whether rows that are held, or the time that has come, may lead to something being given up."""
+        limits, watermark_us = self.input.limits, self.clock.watermark_us
+        if watermark_us is None:
+            return False
+        rows = self.rows_waiting + sum(table.num_rows for table in held)
+        is_time = limits.expired_before_us(before_us, watermark_us) is not None
+        return is_time or self.keys.count + rows > limits.partitions
 
     def source_ended(self, source: str) -> dict[str, Outcome]:
         """The source will send no more."""
@@ -333,7 +371,7 @@ class Lane:
         self.prepare()
         self._run(self._released(None))
         self._expire(0, is_end=True)
-        outcomes = self._outcomes()
+        (outcomes,) = self._outcomes([()], [None])
         self._forget_all()
         self.clock.reset()
         for member in self.members:
@@ -341,38 +379,60 @@ class Lane:
         return outcomes
 
     def _advance(self) -> dict[str, Outcome]:
-        before_us, watermark_us = self.clock.watermark_us, self.clock.advance()
+        before_us = self.clock.watermark_us
+        (outcomes,) = self._advanced([()], [self.clock.advance()], before_us)
+        return outcomes
+
+    def _advanced(
+        self, late: Sequence[tuple[EventRef, ...]], reached: Sequence[int | None], before_us: int | None
+    ) -> list[dict[str, Outcome]]:
+        """What units led to, after which the watermark stood there, before it here, and whose late rows these are."""
+        watermark_us = reached[-1]
         if watermark_us is None:
-            return self._outcomes()
+            return self._outcomes(late, reached)
         self._run(self._released(watermark_us))
         self._expire(watermark_us, is_end=False)
         found = self._found()
         self._limit(before_us, watermark_us)
-        outcomes = self._outcomes(found)
+        outcomes = self._outcomes(late, reached, found)
         for member in self.members:
             member.emitter.forget(watermark_us)
         return outcomes
 
-    def _take(self, table: pa.Table) -> tuple[EventRef, ...]:
-        """Holds the rows that are in time; the others."""
-        rows = self._rows_of(table)
+    def _rows_of_units(self, units: Units) -> Sequence[pa.Table | None]:
+        """The rows for the rules, unit by unit."""
+        if len(units) > 1 and self.input.type is not None and self.input.where is None:
+            rows = self._rows_of(units.table)
+            if rows is None or rows.num_rows == units.table.num_rows:
+                return [None] * len(units) if rows is None else units.of(rows)
+        return [self._rows_of(table) for table in units.of(units.table)]
+
+    def _judged(self, rows: pa.Table | None, held: list[pa.Table]) -> tuple[EventRef, ...]:
+        """Adds the rows that are in time to those held; the others."""
         if rows is None or rows.num_rows == 0:
             return ()
         late: tuple[EventRef, ...] = ()
-        times = rows.column(TIME).to_numpy()
         watermark_us = self.clock.watermark_us
-        if watermark_us is not None and times.min() < watermark_us:
-            is_late = times < watermark_us
-            late = tuple(self._refs(rows.filter(pa.array(is_late))))
-            rows = rows.filter(pa.array(~is_late))
-            times = times[~is_late]
+        if watermark_us is not None:
+            is_late = rows.column(TIME).to_numpy() < watermark_us
+            if is_late.any():
+                late = tuple(self._refs(rows.filter(pa.array(is_late))))
+                rows = rows.filter(pa.array(~is_late))
         self.counts.late += len(late)
         self.counts.rows += rows.num_rows
-        if rows.num_rows:
-            if np.any(times[1:] < times[:-1]):
-                rows = rows.take(pa.array(np.argsort(times, kind="stable")))
-            self.waiting.append(rows.combine_chunks())
+        held.append(rows)
         return late
+
+    def _hold(self, held: list[pa.Table]) -> None:
+        """The rows wait, by time. Where that makes many tables, the smallest become one."""
+        held = [rows for rows in held if rows.num_rows]
+        if not held:
+            return
+        self.waiting.append(_by_time(held))
+        if len(self.waiting) > _WAITING_TABLES_MOST:
+            self.waiting.sort(key=lambda rows: -rows.num_rows)
+            few = _WAITING_TABLES_MOST // 4
+            self.waiting[few:] = [_by_time(self.waiting[few:])]
 
     def _rows_of(self, table: pa.Table) -> pa.Table | None:
         """The rows that these events, of any types, are for the rules."""
@@ -504,25 +564,34 @@ class Lane:
 
     # From what was found to situations.
 
-    def _outcomes(self, found: FoundByRule | None = None) -> dict[str, Outcome]:
-        """What the step led to for each rule; what was found is taken from the kernel unless it was already."""
+    def _outcomes(
+        self,
+        late: Sequence[tuple[EventRef, ...]],
+        reached: Sequence[int | None],
+        found: FoundByRule | None = None,
+    ) -> list[dict[str, Outcome]]:
+        """What units led to for each rule, see `_advanced`; what was found is taken from the kernel unless it was."""
         self._note_failures()
-        late, self._late = self._late, ()
         found = self._found() if found is None else found
-        outcomes = {}
+        outcomes: list[dict[str, Outcome]] = [{} for _ in late]
+        marks = [_BEFORE_ALL_US if each is None else each for each in reached]
         for at, member in enumerate(self.members):
             if member.failure is not None:
                 continue
             given_up, member.given_up = tuple(member.given_up), []
+            matches: list[list[Match]] = [[] for _ in late]
             began = self.seconds()
             try:
-                matches = self._emitted(member, found[at]) if at in found else ()
+                for unit, match in self._emitted(member, found[at], marks) if at in found else ():
+                    matches[unit].append(match)
             except Exception as error:  # Whatever a rule's situations raise, the other rules of the lane go on.
                 self._fail(at, error)
                 continue
             member.spent_s += self.seconds() - began
-            if matches or late or given_up:
-                outcomes[member.name] = Outcome(matches, late, given_up)
+            for unit, outcome in enumerate(outcomes):
+                is_last = unit == len(outcomes) - 1
+                if matches[unit] or late[unit] or (given_up and is_last):
+                    outcome[member.name] = Outcome(tuple(matches[unit]), late[unit], given_up if is_last else ())
         return outcomes
 
     def _found(self) -> FoundByRule:
@@ -574,17 +643,19 @@ class Lane:
         parts = zip(self.input.keys, key, self.input.kinds, strict=True)
         return {name: as_python(value, kind) for name, value, kind in parts}
 
-    def _emitted(self, member: Member, found: list[tuple[tuple[Any, ...], Found]]) -> tuple[Match, ...]:
-        """The matches that become situations, in the order in which they were decided."""
+    def _emitted(
+        self, member: Member, found: list[tuple[tuple[Any, ...], Found]], marks: Sequence[int]
+    ) -> list[tuple[int, Match]]:
+        """The matches that become situations, in the order in which they were decided, with the unit that did it."""
         newest_us, names = self.clock.newest_us(), self.streams.names
         matches = []
         for key, each in sorted(found, key=lambda pair: decided_order(pair[1], names)):
             made = member.narrator.match(key, each)
             now_us = newest_us if each.decided_us is None else each.decided_us
             if member.emitter.lets_through(made, now_us):
-                matches.append(made)
+                matches.append((_unit_of(each, marks), made))
         member.matches += len(matches)
-        return tuple(matches)
+        return matches
 
     # Forgetting.
 
@@ -706,6 +777,22 @@ class Lane:
             total += int(rows[is_open, k.C_THREADS].sum())
             cells = rows[:, k.C_NEXT]
         return total
+
+
+def _unit_of(found: Found, marks: Sequence[int]) -> int:
+    """The unit that made the match final: a row is once the watermark lies behind it, a time once it is reached."""
+    if len(marks) == 1 or found.decided_us is None:
+        return 0
+    after = bisect_left if found.decided_by is None else bisect_right
+    return after(marks, found.decided_us)
+
+
+def _by_time(tables: Sequence[pa.Table]) -> pa.Table:
+    """The rows of the tables in the order of their times."""
+    rows = pa.concat_tables(tables).combine_chunks()
+    times = rows.column(TIME).to_numpy()
+    is_sorted = not np.any(times[1:] < times[:-1])
+    return rows if is_sorted else rows.take(pa.array(np.argsort(times, kind="stable"))).combine_chunks()
 
 
 def _reads(packed: Packed) -> dict[str, Kind]:

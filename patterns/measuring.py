@@ -12,6 +12,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 from sqlglot import exp
 
+from patterns.dialect import ClauseDialect
 from patterns.duck import sql_of
 from patterns.navigation import AggregateReading, Frame, MatchNumber, Reader, Reading, RowReading, function_name
 from patterns.ordered import OrderedRows
@@ -19,6 +20,8 @@ from patterns.symbols import Symbols
 from patterns.syntax import Named
 
 _MATCHED = "is_matched"
+_WIDE = ("HUGEINT", "UHUGEINT")
+"""Whole numbers that Arrow has no type for, so that they come back as decimals, which divide otherwise."""
 _PLACE, _MATCH, _LABEL, _NUMBER = "matched place", "matched match", "matched label", "matched number"
 
 
@@ -139,13 +142,11 @@ class Measures:
         return self._named(replace(reading, call=call), kind)
 
     def _named(self, reading: Reading, kind: str) -> exp.Expr:
-        for name, known in self.columns.items():
-            if known == reading:
-                return exp.column(name)
-        name = f"p{len(self.columns)}"
+        name = next((name for name, known in self.columns.items() if known == reading), f"p{len(self.columns)}")
         self.columns[name] = reading
         self.types[name] = kind
-        return exp.column(name)
+        column = exp.column(name)
+        return exp.cast(column, kind, dialect=ClauseDialect) if kind in _WIDE else column
 
 
 class _Evaluation:

@@ -175,6 +175,8 @@ class Reader:
         name = function_name(node)
         if len(node.expressions) not in (1, 2):
             self._fail(f"{name} takes a value and, if wanted, a number of rows", node)
+        if isinstance(node.expressions[0], exp.Distinct):
+            self._fail(f"{name} reads one row: DISTINCT has no meaning in it", node)
         if len(node.expressions) == 1:
             return node.expressions[0], default
         offset = self.names.number(node.expressions[1])

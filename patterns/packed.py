@@ -5,6 +5,7 @@ Zones and lines get names that say what they are, so that rules share what means
 """
 
 import struct
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -229,8 +230,9 @@ class Assembly:
         self.pairs: list[tuple[int, int]] = []
         self.first_masks: list[list[int]] = []
         self.next_masks: list[list[int]] = []
-        for rule in rules:
-            self._add(rule, is_strict)
+        self.beginnings: list[tuple[int, int, int]] = []
+        for number, rule in enumerate(rules):
+            self._add(number, rule, is_strict)
         fan = max((end - begin for begin, end in zip(self.follow_at, self.follow_at[1:], strict=False)), default=0)
         return Tables(
             rules=_array(self.rules, k.U_WIDTH),
@@ -244,10 +246,35 @@ class Assembly:
             pairs=_array(self.pairs, 2),
             first_masks=_array(self.first_masks, self.words),
             next_masks=_array(self.next_masks, self.words),
+            **self._watched(),
             fan=np.array([fan], dtype=np.int64),
         )
 
-    def _add(self, rule: Packed, is_strict: bool) -> None:
+    def _watched(self) -> dict[str, Integers]:
+        """The beginnings by a bit that must be set for them to be possible: the one that the fewest share."""
+        ways: tuple[list[tuple[int, int, int]], ...] = ([], [])
+        for each in self.beginnings:
+            ways[k.ALONE if each[2] < 0 else k.FOLLOWED].append(each)
+        watched, at, watch = np.zeros((2, self.words + 1), dtype=np.int64), [0], []
+        for way, beginnings in enumerate(ways):
+            named = self._by_bit(beginnings)
+            for bit in range(k.BITS * self.words + 1):
+                watch += named.get(bit, [])
+                at.append(len(watch))
+            for bit in named:
+                watched[way, bit // k.BITS] |= np.array(1 << bit % k.BITS, dtype=np.uint64).astype(np.int64)
+        return {"watched": watched, "watch_at": np.array(at, dtype=np.int64), "watch": _array(watch, 3)}
+
+    def _by_bit(self, beginnings: Sequence[tuple[int, int, int]]) -> dict[int, list[tuple[int, int, int]]]:
+        bits = [_bits(self.first_masks[pair] if mask < 0 else self.next_masks[mask]) for _, pair, mask in beginnings]
+        shared = Counter(bit for each in bits for bit in each)
+        named: dict[int, list[tuple[int, int, int]]] = {}
+        for each, own in zip(beginnings, bits, strict=True):
+            bit = min(own, key=lambda bit: (shared[bit], bit), default=k.BITS * self.words)
+            named.setdefault(bit, []).append(each)
+        return named
+
+    def _add(self, number: int, rule: Packed, is_strict: bool) -> None:
         bound, tables = rule.bound, rule.bound.tables
         base = len(self.positions)
         masks = [self._mask(condition) for condition in rule.conditions]
@@ -257,12 +284,13 @@ class Assembly:
         for position, variable in enumerate(tables.variables):
             self.masks.append(masks[variable])
             updates, lives = self._updates(rule, variable), self._live(live[position])
-            self.positions.append([int(tables.accepts[position]), variable, *guards[variable], *updates, *lives])
+            early = int(self._is_early(guards[variable], updates))
+            self.positions.append([int(tables.accepts[position]), variable, *guards[variable], *updates, *lives, early])
             self._follow(base, tables.follow[position])
         self.masks.append([0] * self.words)
         self.positions.append([0] * k.P_WIDTH)
         self._follow(base, tables.follow[tables.start])
-        pairs = self._pairs(rule, masks)
+        pairs = self._pairs(number, rule, masks)
         nulls = sum(1 << at for at, register in enumerate(bound.registers) if register.how not in ("rows", "values"))
         unset = sum(1 << at for at, register in enumerate(bound.registers) if register.how == "first")
         skip = _SKIPS[bound.skip]
@@ -289,6 +317,11 @@ class Assembly:
         self.code += guard
         return begin, len(self.code)
 
+    def _is_early(self, guard: tuple[int, int], updates: tuple[int, int]) -> bool:
+        """Whether the guard reads nothing that the row changes."""
+        read = {argument for op, argument in self.code[slice(*guard)] if op == k.OP_REGISTER}
+        return not read & {register for register, _, _ in self.updates[slice(*updates)]}
+
     def _live(self, registers: Sequence[int]) -> tuple[int, int]:
         begin = len(self.live)
         self.live += registers
@@ -303,7 +336,7 @@ class Assembly:
                 self.updates.append((index, how_of(rule.bound, register), number))
         return begin, len(self.updates)
 
-    def _pairs(self, rule: Packed, masks: list[list[int]]) -> tuple[int, int]:
+    def _pairs(self, number: int, rule: Packed, masks: list[list[int]]) -> tuple[int, int]:
         """How a match may begin: the first row's bits, and those of the next row, one of which must be there."""
         tables = rule.bound.tables
         begin = len(self.pairs)
@@ -319,6 +352,8 @@ class Assembly:
             self.first_masks.append(masks[first])
             next_begin = len(self.next_masks)
             self.next_masks += [masks[variable] for variable in after]
+            masks_of = range(next_begin, len(self.next_masks)) or (-1,)
+            self.beginnings += [(number, len(self.pairs), mask) for mask in masks_of]
             self.pairs.append((next_begin, len(self.next_masks)))
         return begin, len(self.pairs)
 
@@ -336,6 +371,11 @@ def how_of(bound: BoundRule, register: Register) -> int:
         is_float = bound.slots[register.slot].kind is Kind.FLOAT
         return _FLOAT_HOWS[register.how] if is_float else _HOWS[register.how]
     return _HOWS[register.how]
+
+
+def _bits(mask: Sequence[int]) -> list[int]:
+    """The numbers of the mask's bits, through all words."""
+    return [k.BITS * at + bit for at, word in enumerate(mask) for bit in range(k.BITS) if word >> bit & 1]
 
 
 def _array(rows: Sequence[Sequence[int]], width: int) -> Integers:

@@ -75,6 +75,7 @@ class _Parser:
         self.dialect = ClauseDialect()
         self.words = tokenise(passage, self.dialect, skips_patterns=True)
         self.index = 0
+        self.keys: dict[int, Scalar] = {}
 
     # The SELECT around the clause.
 
@@ -198,7 +199,7 @@ class _Parser:
         self.expect(")")
         return Clause(
             self.passage, at, partition_by, order_by, measures, rows, rows_at, skip, pattern, pattern_at, within,
-            subsets, defines,
+            subsets, defines, dict(self.keys),
         )  # fmt: skip
 
     def partition_by(self) -> tuple[Identifier, ...]:
@@ -226,9 +227,22 @@ class _Parser:
         return Ordering(column, is_descending, nulls_first)
 
     def column(self, what: str) -> Identifier:
-        """A column's name; a table's before it is left out."""
-        name = self.identifier(what)
-        return self.identifier(what) if self.accept(".") else name
+        """A column's name, a table's before it left out; or, in a query, what an expression is called."""
+        first = self.index
+        if self.key() in (",", ")", ""):
+            return self.identifier(what)
+        names = 1
+        while self.names_something(names - 1) and self.key(names) == "." and self.names_something(names + 1):
+            names += 2
+        ends = self.key(names) in (",", ")", "PATTERN") or self.index + names >= len(self.words)
+        is_name = self.names_something(0) and (ends or self.names_something(names))
+        if is_name and names == 1:
+            return self.identifier(what)
+        key = self.scalar(what, stops=("ASC", "DESC", "NULLS", *_CLAUSES))
+        last = self.words[self.index - 1]
+        name = last.name if is_name else self.passage.text[key.at : key.end]
+        self.keys[self.words[first].start] = key
+        return Identifier(name, canonical_name(name, not is_name or last.is_quoted), key.at)
 
     def measures(self) -> tuple[Named, ...]:
         return self.separated(self.measure) if self.accept("MEASURES") else ()
@@ -361,8 +375,10 @@ class _Parser:
         return tree.this if isinstance(tree, exp.Paren) else tree
 
     def begins_clause(self) -> bool:
-        """Whether the keyword here opens a clause, rather than naming a variable or a function."""
-        return self.key(1) not in (".", "(", ",", ")") or self.key() == "PATTERN"
+        """Whether the keyword here opens a clause, rather than naming a variable, a column or a function."""
+        if self.key(-1) == "." or self.key(1) == "AS":
+            return False
+        return self.key(1) not in (".", "(", ",", ")") or (self.key() == "PATTERN" and self.key(1) == "(")
 
     # The cursor.
 
@@ -371,7 +387,7 @@ class _Parser:
 
     def key(self, ahead: int = 0) -> str:
         index = self.index + ahead
-        return self.words[index].key if index < len(self.words) else ""
+        return self.words[index].key if 0 <= index < len(self.words) else ""
 
     def names_something(self, ahead: int) -> bool:
         index = self.index + ahead

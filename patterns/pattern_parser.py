@@ -149,6 +149,8 @@ class _Reader:
         least = int(found[1] or 0)
         is_open = found[0].rstrip("} \t\n").endswith(",")
         most = None if is_open else int(found[3] or found[4] or least)
+        if most == 0:
+            self.fail(f"PATTERN: a quantifier's upper bound must be at least 1, got {found[0]}")
         if most is not None and most < least:
             self.fail(f"PATTERN: a quantifier's upper bound must be at least its lower bound, got {found[0]}")
         if max(least, most or 0) > REPETITIONS_MOST:

@@ -11,7 +11,7 @@ own, with the common table expressions that are in scope where it stands.
 import json
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 
 import duckdb
@@ -22,12 +22,11 @@ from patterns.lexemes import Kind, Lexeme, lexemes
 from patterns.limits import Limits
 from patterns.parser import parse_clause
 from patterns.recognition import recognise
-from patterns.statements import BEFORE_INPUT, Statement, first_of_input, input_of, statement
+from patterns.statements import BEFORE_INPUT, Statement, first_of_input, input_of, name_of_input, statement
 from patterns.syntax import Clause
 from patterns.text import Passage
 
 _CLAUSE = "MATCH_RECOGNIZE"
-_NOTHING = "__nothing"
 _STANDS_ALONE = (
     "the input of MATCH_RECOGNIZE is a query of its own: it does not see columns of the query around it, and "
     "LATERAL or correlated input is not supported"
@@ -116,9 +115,8 @@ def answer(plan: Plan, opened: duckdb.DuckDBPyConnection, limits: Limits | None 
     _check_single(plan, opened)
     for step in plan.steps:
         source = _distinctly_named(_run(plan.passage, step.source, opened, is_input=True))
-        opened.register(step.name, _with_a_column(recognise(step.clause, source, limits=limits)))
-    found = _run(plan.passage, plan.rest, opened)
-    return found.select([index for index, name in enumerate(found.column_names) if name != _NOTHING])
+        opened.register(step.name, recognise(step.clause, source, limits=limits))
+    return _run(plan.passage, plan.rest, opened)
 
 
 class _Reader:
@@ -157,6 +155,7 @@ class _Reader:
             raise self.passage.error(
                 f"{_CLAUSE} wants its input before it: a table, a sub-query in parentheses or VALUES in parentheses", at
             )
+        clause = replace(clause, source=name_of_input(self.words, first))
         name = f"__match_{len(self.steps) + 1}"
         while name in self.passage.text.lower():
             name += "_"
@@ -242,11 +241,6 @@ def _explained(passage: Passage, statement: Statement, error: duckdb.Error, is_i
     octets = int(told.get("position", 0))
     offset = len(statement.sql.encode()[:octets].decode(errors="ignore"))
     return passage.error(message, statement.origin(offset), QueryError)
-
-
-def _with_a_column(table: pa.Table) -> pa.Table:
-    """The table, with a column that `answer` takes away if it has none: DuckDB has no rows without columns."""
-    return table if table.num_columns else pa.table({_NOTHING: pa.nulls(table.num_rows, pa.bool_())})
 
 
 def _distinctly_named(table: pa.Table) -> pa.Table:

@@ -31,6 +31,7 @@ from patterns.syntax import (
     Clause,
     Concatenation,
     Exclusion,
+    Identifier,
     Ordering,
     Pattern,
     Permutation,
@@ -105,23 +106,43 @@ class _Recognition:
         self.table = table
         self.limits = limits
         self.symbols = Symbols.of(clause, duck, duck.column_types(table), params)
+        self.computed: dict[str, str] = {}
 
     def result(self) -> pa.Table:
         clause, symbols = self.clause, self.symbols
-        partition_by = [symbols.column(column, "PARTITION BY") for column in clause.partition_by]
-        order_by = [symbols.column(each.column, "ORDER BY") for each in clause.order_by]
+        partition_by = [self.key(column, "PARTITION BY") for column in clause.partition_by]
+        order_by = [self.key(each.column, "ORDER BY") for each in clause.order_by]
+        self.compute_keys()
         self.check_exclusion()
         self.check_names(partition_by)
         tables = self.tables()
         conditions = conditions_of(symbols)
         measures = Measures(symbols)
         within_us = self.within()
+        self.check_columns()
         terms = [_term(column, each) for column, each in zip(order_by, clause.order_by, strict=True)]
         rows = ordered(self.duck, self.table, partition_by, terms)
         output = self.searched(rows, tables, conditions, within_us)
         is_all_rows = clause.rows is not RowsPerMatch.ONE
         measured = measures.evaluated(rows, output.matched(), output.where(), is_all_rows)
         return self.arranged(rows, output, measured, partition_by, order_by)
+
+    def key(self, name: Identifier, clause: str) -> str:
+        """The column that this place of PARTITION BY or ORDER BY means; of an expression one of its own."""
+        column, sql = self.symbols.key(name, clause)
+        if sql == quoted(column):
+            return column
+        while column.lower() in self.symbols.columns and self.computed.get(column) != sql:
+            column += "_"
+        self.computed[column] = sql
+        return column
+
+    def compute_keys(self) -> None:
+        """Give the table the columns that expressions of PARTITION BY and ORDER BY are."""
+        for name, values in zip(
+            self.computed, self.duck.columns(self.table, list(self.computed.values())), strict=True
+        ):
+            self.table = self.table.append_column(name, values)
 
     # What is checked before any row is looked at.
 
@@ -134,7 +155,7 @@ class _Recognition:
         """Each column of the result has a name of its own."""
         is_one = self.clause.rows is RowsPerMatch.ONE
         taken = {name.lower(): "a column of PARTITION BY" for name in partition_by}
-        taken |= {} if is_one else {name.lower(): "a column of the input" for name in self.table.column_names}
+        taken |= {} if is_one else {name.lower(): "a column of the input" for name in self.symbols.types}
         for measure in self.clause.measures:
             name = measure.name.name
             if name.lower() in taken:
@@ -143,6 +164,13 @@ class _Recognition:
                 )
                 raise self.clause.passage.error(message, measure.name.at)
             taken[name.lower()] = "another measure"
+
+    def check_columns(self) -> None:
+        """The result has a column, as any table must."""
+        clause = self.clause
+        if clause.rows is RowsPerMatch.ONE and not clause.partition_by and not clause.measures:
+            message = "the result has no column; name a measure, or say PARTITION BY or ALL ROWS PER MATCH"
+            raise clause.passage.error(message, clause.at)
 
     def tables(self) -> Tables:
         try:
@@ -160,7 +188,7 @@ class _Recognition:
         order = self.clause.order_by
         if not order or order[0].is_descending:
             raise passage.error("WITHIN needs ORDER BY with a time, ascending, in the first place", scalar.at)
-        kind = self.symbols.types[self.symbols.column(order[0].column, "ORDER BY")]
+        kind = self.duck.column_types(self.table)[self.key(order[0].column, "ORDER BY")]
         if not kind.startswith(("TIMESTAMP", "DATE")):
             raise passage.error(f"WITHIN needs ORDER BY with a time in the first place, got {kind}", scalar.at)
         length = f"epoch_us(TIMESTAMP '2000-01-01' + ({sql_of(self.symbols.checked('WITHIN', scalar))}))"
@@ -194,7 +222,7 @@ class _Recognition:
         return output
 
     def times(self, rows: OrderedRows) -> list[int]:
-        column = self.symbols.column(self.clause.order_by[0].column, "ORDER BY")
+        column = self.key(self.clause.order_by[0].column, "ORDER BY")
         (times,) = self.duck.columns(rows.table, [f"epoch_us({quoted(column)})"])
         if times.null_count:
             raise MatchError(f"WITHIN: the column {column} of a row must not be NULL")
@@ -287,13 +315,11 @@ class _Recognition:
         names = list(partition_by)
         rest: list[str] = []
         if self.clause.rows is not RowsPerMatch.ONE:
-            names += order_by
-            rest = [name for name in self.table.column_names if name not in names]
+            names += [name for name in order_by if name not in self.computed]
+            rest = [name for name in self.symbols.types if name not in names]
         sources = pa.array(output.sources, pa.int64())
         columns = {name: rows.table.column(name).take(sources) for name in (*names, *rest)}
         arrays = [*(columns[name] for name in names), *measured, *(columns[name] for name in rest)]
-        if not arrays:
-            return pa.table({"": pa.nulls(len(output.sources))}).select([])
         measures = [measure.name.name for measure in self.clause.measures]
         return pa.Table.from_arrays(arrays, names=_apart([*names, *measures, *rest]))
 

@@ -8,6 +8,7 @@ float64 or int64.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,34 @@ from patterns.expressions import Kind
 
 STREAM, TIME, SEQUENCE = "@stream", "@time", "@sequence"
 _ENVELOPE = ("time", "sequence", "source", "station", "type")
+
+
+@dataclass(frozen=True, slots=True)
+class Units:
+    """Units of arrival, one after the other, in one table.
+
+    Attributes:
+        table: Their rows.
+        bounds: Where each unit begins in the table, and the end.
+    """
+
+    table: pa.Table
+    bounds: Sequence[int]
+
+    @classmethod
+    def one(cls, table: pa.Table) -> "Units":
+        """All rows as one unit."""
+        return cls(table, (0, table.num_rows))
+
+    def __len__(self) -> int:
+        """How many units there are."""
+        return len(self.bounds) - 1
+
+    def of(self, rows: pa.Table) -> list[pa.Table]:
+        """Rows that are one each for those of the table, unit by unit."""
+        if len(self) == 1:
+            return [rows]
+        return [rows.slice(begin, end - begin) for begin, end in pairwise(self.bounds)]
 
 
 @dataclass(slots=True)
@@ -166,7 +195,7 @@ def newest_by_source(batch: pa.Table) -> list[tuple[str, int]]:
     """For each source its newest time in microseconds."""
     if batch.num_rows == 0:
         return []
-    times = batch.column("time").cast(pa.timestamp("us", batch.column("time").type.tz)).cast(pa.int64()).to_numpy()
+    times = _microseconds(batch.column("time"))
     sources = encoded(batch.column("source"))
     if len(sources.dictionary) == 1:
         return [(sources.dictionary[0].as_py(), int(times.max()))]
@@ -176,6 +205,31 @@ def newest_by_source(batch: pa.Table) -> list[tuple[str, int]]:
     is_used = np.bincount(numbers, minlength=len(newest)) > 0
     named = zip(sources.dictionary.to_pylist(), newest.tolist(), is_used.tolist(), strict=True)
     return [(source, time) for source, time, used in named if used]
+
+
+def _microseconds(times: pa.ChunkedArray) -> NDArray[np.int64]:
+    """Times as whole microseconds since 1970."""
+    whole: NDArray[np.int64] = times.cast(pa.timestamp("us", times.type.tz)).cast(pa.int64()).to_numpy()
+    return whole
+
+
+def newest_of_units(units: Units) -> list[list[tuple[str, int]]]:
+    """For each unit, for each source its newest time in microseconds."""
+    if len(units) == 1:
+        return [newest_by_source(units.table)]
+    sources = encoded(units.table.column("source"))
+    numbers, names = sources.indices.to_numpy(), sources.dictionary.to_pylist()
+    times = _microseconds(units.table.column("time"))
+    newest: list[list[tuple[str, int]]] = []
+    for begin, end in pairwise(units.bounds):
+        own = numbers[begin:end]
+        if end == begin:
+            newest.append([])
+        elif (own == own[0]).all():
+            newest.append([(names[own[0]], int(times[begin:end].max()))])
+        else:
+            newest.append(newest_by_source(units.table.slice(begin, end - begin)))
+    return newest
 
 
 def partition_codes(rows: pa.Table, keys: Sequence[str]) -> NDArray[np.int64]:

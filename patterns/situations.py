@@ -5,15 +5,16 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
+from functools import cached_property
 from itertools import chain
 from typing import Any
 
-from patterns.bound import BoundRule, Output
+from patterns.bound import BoundRule
 from patterns.durations import MICROSECOND
 from patterns.errors import MatchError
 from patterns.expressions import Crosses, InZone, Kind, OnGround, walk
 from patterns.geometry import Line, Zone
-from patterns.guards import Guard, compile_guard
+from patterns.guards import compile_guard
 from patterns.matcher import Event, Found, runs
 from patterns.places import Places
 from patterns.site import CALIBRATION
@@ -48,41 +49,108 @@ class EventRange:
     rows: int
 
 
-@dataclass(frozen=True, slots=True)
 class Match:
-    """One final match of a rule.
+    """One final match of a rule. What it says is made when it is first asked for, and never changes.
 
     Attributes:
-        rule: The rule's name.
-        version: The rule's version.
-        rule_hash: The rule's hash.
-        severity: The rule's severity.
-        title: The rule's title, filled in.
-        partition: The partition columns and their values.
-        measures: The measures in their order.
-        first: The event of its first row.
-        last: The event of its last row.
-        decided_at: The event time from which it was final: of the row that decided it, or of the
-            end of its WITHIN; None: only the end of the input decided it.
-        lineage: For each pattern variable that took rows, which.
         judged_by: The events that drew what its rows were judged by: for each shared zone or line, and
             for the calibration, under `zone:NAME`, `line:NAME` and `calibration`.
-        situation_id: Its identity, see `situation_id`.
     """
 
-    rule: str
-    version: int
-    rule_hash: str
-    severity: str
-    title: str
-    partition: dict[str, Scalar]
-    measures: dict[str, Scalar]
-    first: EventRef
-    last: EventRef
-    decided_at: datetime | None
-    lineage: dict[str, tuple[EventRange, ...]]
-    judged_by: dict[str, tuple[EventRange, ...]]
-    situation_id: str
+    _SAID = (
+        "rule", "version", "rule_hash", "severity", "title", "partition", "measures", "first", "last", "decided_at",
+        "lineage", "judged_by", "situation_id",
+    )  # fmt: skip
+
+    def __init__(
+        self,
+        narrator: "Narrator",
+        key: Sequence[Any],
+        found: Found,
+        values: Sequence[Any],
+        judged_by: dict[str, tuple[EventRange, ...]],
+    ) -> None:
+        """What the matcher found, and the measures' and the title's values as the engine has them."""
+        self._narrator = narrator
+        self._key = key
+        self._found = found
+        self._values = values
+        self.judged_by = judged_by
+
+    def __eq__(self, other: object) -> bool:
+        """Whether both say the same."""
+        if not isinstance(other, Match):
+            return NotImplemented
+        return all(getattr(self, name) == getattr(other, name) for name in self._SAID)
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def __repr__(self) -> str:
+        """All that it says."""
+        return f"Match({', '.join(f'{name}={getattr(self, name)!r}' for name in self._SAID)})"
+
+    @property
+    def rule(self) -> str:
+        """The rule's name."""
+        return self._narrator.rule.rule
+
+    @property
+    def version(self) -> int:
+        """The rule's version."""
+        return self._narrator.rule.version
+
+    @property
+    def rule_hash(self) -> str:
+        """The rule's hash."""
+        return self._narrator.rule_hash
+
+    @property
+    def severity(self) -> str:
+        """The rule's severity."""
+        return self._narrator.rule.severity
+
+    @cached_property
+    def title(self) -> str:
+        """The rule's title, filled in."""
+        return self._narrator.title(self._values, self.partition, self.measures)
+
+    @cached_property
+    def partition(self) -> dict[str, Scalar]:
+        """The partition columns and their values."""
+        return self._narrator.partition(self._key)
+
+    @cached_property
+    def measures(self) -> dict[str, Scalar]:
+        """The measures in their order."""
+        return self._narrator.measures(self._values)
+
+    @cached_property
+    def first(self) -> EventRef:
+        """The event of its first row."""
+        return event_ref(self._found.first, self._narrator.stream_names)
+
+    @cached_property
+    def last(self) -> EventRef:
+        """The event of its last row."""
+        return event_ref(self._found.ending.event, self._narrator.stream_names)
+
+    @property
+    def decided_at(self) -> datetime | None:
+        """The event time from which it was final: of the row that decided it, or of the end of its WITHIN.
+
+        None: only the end of the input decided it.
+        """
+        return None if self._found.decided_us is None else nearest_time(self._found.decided_us)
+
+    @cached_property
+    def lineage(self) -> dict[str, tuple[EventRange, ...]]:
+        """For each pattern variable that took rows, which."""
+        return self._narrator.lineage(self._found)
+
+    @cached_property
+    def situation_id(self) -> str:
+        """Its identity, see `situation_id`."""
+        return self._narrator.situation_id(self._key, self._found)
 
 
 def situation_id(rule: str, version: int, partition: Sequence[Any], first: EventRef, last: EventRef) -> str:
@@ -92,16 +160,23 @@ def situation_id(rule: str, version: int, partition: Sequence[Any], first: Event
     `["situation/1", rule, version, [partition values], [stream, sequence, time], [stream, sequence, time]]`
     with the first and the last event; times and durations are whole microseconds, since 1970 UTC.
     """
-    events = [[event.stream, event.sequence, as_microseconds(event.time)] for event in (first, last)]
-    content = ["situation/1", rule, version, [as_microseconds(value) for value in partition], *events]
+    events = [(event.stream, event.sequence, as_microseconds(event.time)) for event in (first, last)]
+    return _identity(rule, version, [as_microseconds(value) for value in partition], *events)
+
+
+def _identity(
+    rule: str, version: int, partition: Sequence[Any], first: tuple[str, int, Any], last: tuple[str, int, Any]
+) -> str:
+    content = ("situation/1", rule, version, partition, first, last)
     return hashlib.sha256(_ENCODER.encode(content).encode()).hexdigest()
 
 
 class Narrator:
-    """Makes matches of what the matcher found."""
+    """Makes matches of what the matcher found, and says for them what they say."""
 
     def __init__(self, bound: BoundRule, places: Places, stream_names: Sequence[str]) -> None:
-        self.bound = bound
+        self.rule = bound.rule
+        self.variables = bound.variables
         self.site = places.site
         self.stream_names = stream_names
         self.drawn = _drawn_by_events(bound)
@@ -109,10 +184,12 @@ class Narrator:
         self.keys = [(name, bound.columns[name]) for name in bound.keys]
         slots = {slot: index for index, slot in enumerate(bound.slots)}
         registers = dict(bound.register_of)
-        self.values: list[tuple[Output, Guard]] = [
-            (output, compile_guard(output.value, slots, registers, places))
-            for output in (*bound.measures, *bound.title_columns)
-        ]
+        outputs = (*bound.measures, *bound.title_columns)
+        self.outputs = [(output.name, output.value.kind) for output in outputs]
+        self.measured = len(bound.measures)
+        self.guards = [compile_guard(output.value, slots, registers, places) for output in outputs]
+        self.times = [at for at, (_, kind) in enumerate(self.outputs) if kind is Kind.TIME]
+        self.key_times = [at for at, (_, kind) in enumerate(self.keys) if kind is Kind.TIME]
 
     @property
     def needs_calibration(self) -> bool:
@@ -120,41 +197,53 @@ class Narrator:
         return "calibration" in self.drawn
 
     def match(self, key: Sequence[Any], found: Found) -> Match:
-        """The match as it leaves the engine."""
-        bound = self.bound
-        partition = {name: as_python(value, kind) for (name, kind), value in zip(self.keys, key, strict=True)}
-        values = {
-            output.name: as_python(value((), found.ending.registers), output.value.kind)
-            for output, value in self.values
-        }
-        measures = {measure.name: values[measure.name] for measure in bound.measures}
-        first, last = (event_ref(event, self.stream_names) for event in (found.first, found.ending.event))
-        return Match(
-            rule=bound.rule.rule,
-            version=bound.rule.version,
-            rule_hash=self.rule_hash,
-            severity=bound.rule.severity,
-            title=filled_title(bound.rule.title, {**values, **partition, **measures}),
-            partition=partition,
-            measures=measures,
-            first=first,
-            last=last,
-            decided_at=None if found.decided_us is None else nearest_time(found.decided_us),
-            lineage=self._lineage(found),
-            judged_by=self._judged_by(found),
-            situation_id=situation_id(bound.rule.rule, bound.rule.version, key, first, last),
-        )
+        """The match as it leaves the engine.
 
-    def _lineage(self, found: Found) -> dict[str, tuple[EventRange, ...]]:
+        Raises:
+            MatchError: It has a time that no calendar has.
+        """
+        registers = found.ending.registers
+        values = [value((), registers) for value in self.guards]
+        _check_time(found.first[2])
+        _check_time(found.ending.event[2])
+        for at in self.times:
+            _check_time(values[at])
+        for at in self.key_times:
+            _check_time(key[at])
+        return Match(self, key, found, values, self._judged_by(found) if self.drawn else {})
+
+    def partition(self, key: Sequence[Any]) -> dict[str, Scalar]:
+        """The partition columns and their values."""
+        return {name: as_python(value, kind) for (name, kind), value in zip(self.keys, key, strict=True)}
+
+    def measures(self, values: Sequence[Any]) -> dict[str, Scalar]:
+        """The measures in their order."""
+        measured = zip(self.outputs[: self.measured], values, strict=False)
+        return {name: as_python(value, kind) for (name, kind), value in measured}
+
+    def title(self, values: Sequence[Any], partition: dict[str, Scalar], measures: dict[str, Scalar]) -> str:
+        """The rule's title, filled in; a measure goes before a partition column, and this before any other column."""
+        columns = zip(self.outputs[self.measured :], values[self.measured :], strict=True)
+        others = {name: as_python(value, kind) for (name, kind), value in columns}
+        return filled_title(self.rule.title, {**others, **partition, **measures})
+
+    def lineage(self, found: Found) -> dict[str, tuple[EventRange, ...]]:
+        """For each pattern variable that took rows, which."""
         ranges: dict[str, list[EventRange]] = {}
         for _, variable, stream, first, last, _, rows in runs(found.ending.trace):
             each = EventRange(self.stream_names[stream], first, last, rows)
-            ranges.setdefault(self.bound.variables[variable], []).append(each)
+            ranges.setdefault(self.variables[variable], []).append(each)
         return {variable: tuple(each) for variable, each in ranges.items()}
 
+    def situation_id(self, key: Sequence[Any], found: Found) -> str:
+        """The identity, see `situation_id`: the engine's times are microseconds already."""
+        first, last = (
+            (self.stream_names[stream], sequence, time_us)
+            for stream, sequence, time_us in (found.first, found.ending.event)
+        )
+        return _identity(self.rule.rule, self.rule.version, key, first, last)
+
     def _judged_by(self, found: Found) -> dict[str, tuple[EventRange, ...]]:
-        if not self.drawn:
-            return {}
         streams = {self.stream_names[stream] for _, _, stream, *_ in runs(found.ending.trace)}
         sources = {stream.split("/")[1] for stream in streams}
         first_us, last_us = found.first[2], found.ending.event[2]
@@ -211,10 +300,13 @@ def nearest_time(microseconds: int) -> datetime:
 
 
 def _time(microseconds: int) -> datetime:
-    try:
-        return _EPOCH + timedelta(microseconds=microseconds)
-    except OverflowError as error:
-        raise MatchError(f"a time must lie in the years 1 to 9999, got {microseconds} us since 1970") from error
+    _check_time(microseconds)
+    return _EPOCH + timedelta(microseconds=microseconds)
+
+
+def _check_time(microseconds: int | None) -> None:
+    if microseconds is not None and not _EARLIEST_US <= microseconds <= _LATEST_US:
+        raise MatchError(f"a time must lie in the years 1 to 9999, got {microseconds} us since 1970")
 
 
 def as_microseconds(value: Scalar) -> bool | int | float | str | None:

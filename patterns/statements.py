@@ -91,6 +91,14 @@ def input_of(passage: Passage, words: Sequence[Lexeme], first: int, at: int) -> 
     return statement(passage, pieces)
 
 
+def name_of_input(words: Sequence[Lexeme], first: int) -> str | None:
+    """What the input that begins with this word is called: its alias, or the last name of a table or function."""
+    last = len(words) - 1
+    if words[last].key == ")":
+        last = _opening(words, last) - 1
+    return words[last].name if last >= first and words[last].is_name else None
+
+
 def _made(text: str, at: int) -> Lexeme:
     """A piece that the user did not write."""
     return Lexeme(Kind.SIGN, text, at, at)

@@ -11,10 +11,10 @@ from typing import Any, NoReturn
 import duckdb
 from sqlglot import exp
 
-from patterns.duck import Duck, aggregates, first_line, sql_of, unsteady_functions
+from patterns.duck import Duck, aggregates, first_line, quoted, sql_of, unsteady_functions
 from patterns.durations import microseconds
 from patterns.frames import frames_of
-from patterns.navigation import Names, Reader, column_parts, function_name, identifier_key, offset_of
+from patterns.navigation import NAVIGATION, Names, Reader, column_parts, function_name, identifier_key, offset_of
 from patterns.pattern_variables import pattern_variables
 from patterns.syntax import Clause, Identifier, Scalar
 
@@ -121,7 +121,7 @@ class Symbols:
 
     def _input_column(self, column: exp.Expr, clause: str, at: int) -> exp.Expr:
         parts = column_parts(column)
-        if len(parts) > 1 and identifier_key(parts[0]) in self.frames:
+        if len(parts) > 1 and (identifier_key(parts[0]) in self.frames or self._is_source(parts[0])):
             parts = parts[1:]
         name = self.columns.get(parts[0].name.lower())
         if name is None:
@@ -137,6 +137,29 @@ class Symbols:
         for field in parts[1:]:
             found = exp.Dot(this=found, expression=exp.to_identifier(field.name, quoted=True))
         return found
+
+    def _is_source(self, identifier: exp.Expr) -> bool:
+        """Whether this is the input's name, which no variable has."""
+        return self.clause.source is not None and identifier.name.lower() == self.clause.source.lower()
+
+    def key(self, name: Identifier, clause: str) -> tuple[str, str]:
+        """What a place of PARTITION BY or ORDER BY is called, and its SQL over the input's columns.
+
+        Raises:
+            RuleError: It reads a match, or names a column that is not there.
+        """
+        scalar = self.clause.keys.get(name.at)
+        if scalar is None:
+            column = self.column(name, clause)
+            return column, quoted(column)
+        tree = self.checked(clause, scalar)
+        for node in tree.walk():
+            if function_name(node) in NAVIGATION or function_name(node) in aggregates():
+                what = f"{function_name(node)} must not stand here: there is no match to look at yet"
+                self._fail(clause, what, node, scalar)
+        resolved = self.over_columns(tree, clause, scalar.at)
+        self.check_types(clause, scalar, resolved, self.types)
+        return resolved.name if isinstance(resolved, exp.Column) else name.name, sql_of(resolved)
 
     def number(self, node: exp.Expr) -> int | None:
         """The value of an expression that is a constant whole number; None if it is none."""

@@ -3,7 +3,8 @@
 `at` is always an offset into the passage that was parsed.
 """
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from enum import Enum
 
 from sqlglot import exp
@@ -157,6 +158,8 @@ class Clause:
         within: The expression after WITHIN, of type duration.
         subsets: In order.
         defines: In order; variables of the pattern that have none are always true.
+        keys: What PARTITION BY and ORDER BY hold that is no plain name, by where it stands.
+        source: What the query calls the input; a column may have it before it.
     """
 
     passage: Passage
@@ -172,6 +175,8 @@ class Clause:
     within: Scalar | None
     subsets: tuple[Subset, ...]
     defines: tuple[Named, ...]
+    keys: Mapping[int, Scalar] = field(default_factory=dict)
+    source: str | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ Scalar = bool | int | float | str | datetime | timedelta | None
 
 _LONG_NUMBER = re.compile(r"\d{4,}")
 _SAMPLES: dict[Kind, Scalar] = {
-    Kind.BOOL: True, Kind.INT: 1, Kind.FLOAT: 1.0, Kind.STRING: "a", Kind.TIME: datetime(2026, 1, 1, tzinfo=UTC),
+    Kind.BOOL: True, Kind.INT: -1, Kind.FLOAT: 1.0, Kind.STRING: "a", Kind.TIME: datetime(2026, 1, 1, tzinfo=UTC),
     Kind.DURATION: timedelta(seconds=1), Kind.NULL: None,
 }  # fmt: skip
 
@@ -45,7 +45,7 @@ def check_formats(rule: Rule, kinds: dict[str, Kind]) -> None:
     """
     try:
         filled_title(rule.title, {name: _SAMPLES[kind] for name, kind in kinds.items()})
-    except ValueError as error:
+    except (ValueError, OverflowError) as error:
         raise rule.error(f"title: {error}", "title") from error
 
 

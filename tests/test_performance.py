@@ -1,6 +1,6 @@
 """The page of figures is what the last runs measured, and nothing else."""
 
-from benchmarks.report import PAGE, RESULTS, beside_flink, page
+from benchmarks.report import PAGE, RESULTS, beside_flink, of_rules, page
 
 
 def test_the_page_is_written_from_the_results() -> None:
@@ -21,3 +21,29 @@ def test_rules_stand_beside_flink_on_the_same_rows() -> None:
     ]
     section = list(beside_flink({**run, "in_process": ours}, {**run, "flink": theirs}))
     assert section[2:-1] == ["| line crossing | 100 | 4,000,000 | 80,000 | 600,000 | 50 | at least 50: reached |"]
+
+
+def test_what_rules_cost_stands_beside_what_was_wanted() -> None:
+    rates = {"zone intrusion": 4e6, "A then B": 3e6, "line crossing": 4e6, "one zone rule": 8e6, "100 zone rules": 2e6}
+    costs = {
+        "checkpoint_partitions": 130_000, "checkpoint_ms": 80.0, "checkpoint_mb": 3.5, "restore_ms": 120.0,
+        "start_cpu_s": 2.5, "first_start_cpu_s": 1.8, "compiling_cpu_s": 30.0, "reload_ms": 20.0, "step_ms": 1.0,
+    }  # fmt: skip
+    said = {
+        "measured_at": "2026-01-01T10:00:00+00:00",
+        "is_quick": False,
+        "in_process": [
+            {"what": what, "keys": keys, "events_per_cpu_s": rate, "events_per_wall_s": rate, "matches": 9}
+            for what, rate in rates.items()
+            for keys in (10_000, 1_000_000)
+        ],
+        "duckdb": {"reference_name": "DuckDB", "ratio": 1.5},
+        "costs": costs,
+        "worst_cases": [
+            {"what": "(A|B)*?", "way": "rule", "rows": 8, "seconds": 1.0, "growth": 1.0, "matches": 0, "error": None}
+        ],
+    }
+    section = "\n".join(of_rules(said))
+    assert "| 100 zone rules, of 100 times what one costs | 0.040 | at most 0.0666667: reached |" in section
+    assert "| start to first match | 2.50 s | at most 2: missed |" in section
+    assert "| (A\\|B)*? | rule | 8 | 1.0 s | 1.00 | 0 |" in section

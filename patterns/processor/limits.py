@@ -12,6 +12,7 @@ class ProcessorLimits:
 
     Attributes:
         segments: Segments read at a time.
+        events_together: Events that rules are given at once; their segments are judged one by one all the same.
         save_every_s: Longest time between two saves of what the rules remember, in seconds, while events come.
         save_every_events: Most events between two saves.
         ahead: How far behind what a source sent before, and behind the log's own clock, an event's time may
@@ -24,6 +25,7 @@ class ProcessorLimits:
     """
 
     segments: int = 200
+    events_together: int = 65_536
     save_every_s: float = 30.0
     save_every_events: int = 1_000_000
     ahead: timedelta | None = timedelta(days=1)

@@ -1,21 +1,25 @@
 """One pass over the log: rules that stand at the same position and are fed together.
 
 Contract: each segment is one unit of arrival, given whole and in order of position, so what a rule
-finds depends on the log alone, never on how it was read. A rule is fed with segments of the types
+finds depends on the log alone, never on how it was read. Segments that were read together are run together, because
+that is many times cheaper; what they lead to is still told segment by segment. A rule is fed with segments of the types
 that it reads, whichever other rules there are. Events of a source whose time is far ahead of both
 the log's clock and the source's own past are kept out, so that one wrong clock does not make all
 that follows late.
 """
 
 import logging
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
+from itertools import accumulate, groupby
 
 import numpy as np
 import pyarrow as pa
 
 from events import (
     Catalogue,
+    EventBatch,
     EventType,
     ProcessFailed,
     ProcessFinished,
@@ -25,7 +29,6 @@ from events import (
     ZoneRemoved,
     decode,
     events_of,
-    with_envelope,
 )
 from patterns.durations import microseconds
 from patterns.errors import RuleTooSlow
@@ -33,6 +36,7 @@ from patterns.inputs import SITUATION
 from patterns.processor.limits import ProcessorLimits
 from patterns.processor.members import Finding, Member
 from patterns.processor.saving import SavedState
+from patterns.rows import Units
 from patterns.ruleset import Outcomes, RuleSetRun, RuleStatus
 from patterns.running import Outcome
 from patterns.site import SITE_TYPES
@@ -48,6 +52,8 @@ SiteEvent = tuple[EventType, str, int]
 """An event, its stream, and its sequence there."""
 
 _NOTHING = Outcome()
+_STREAM_COLUMNS = ("station", "source", "type")
+_ROW_COLUMNS = frozenset(("time", "sequence"))
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 
@@ -79,6 +85,7 @@ class Pass:
         self._site: dict[tuple[object, ...], SiteEvent] = {}
         self._sets: dict[frozenset[str], RuleSetRun] = {}
         self._events_of: dict[frozenset[str], int] = {}
+        self._columns: dict[frozenset[str], frozenset[str]] = {}
         for event, stream, sequence in site:
             self._learn(event, stream, sequence)
 
@@ -95,12 +102,14 @@ class Pass:
         """
         self._set_of(member).add(member.bound, None if saved is None else saved.run, member.name)
         self.members[member.name] = member
+        self._columns.pop(member.types, None)
         for source, newest_us in (saved.newest_us if saved is not None else {}).items():
             self.newest_us[source] = max(newest_us, self.newest_us.get(source, newest_us))
 
     def remove(self, member: Member) -> None:
         """The rule takes no more part."""
         del self.members[member.name]
+        self._columns.pop(member.types, None)
         self._sets[member.types].remove(member.name)
         if not any(each.types == member.types for each in self.members.values()):
             del self._sets[member.types]
@@ -123,28 +132,75 @@ class Pass:
         """How the rule stands."""
         return self._sets[member.types].status(member.name)
 
-    def take(self, segment: Segment) -> list[Finding]:
-        """What the segment, the next in order of position, leads to."""
-        self.position = segment.position
-        try:
-            batch = decode(segment, self._catalogue)
-        except UnknownType as error:
-            self.segments_skipped += 1
-            logger.warning("no rule sees the segment at position %d: %s", segment.position, error)
-            return []
-        self.events_unsaved += segment.header.event_count
+    def take(self, segments: Sequence[Segment], *, is_one_by_one: bool = False) -> list[Finding]:
+        """What the segments, the next in order of position, lead to.
+
+        Args:
+            segments: The segments.
+            is_one_by_one: Whether each is run by itself, which costs more and leads to the same.
+
+        Raises:
+            RunOneByOne: A rule failed among segments that were run together, so that what it found before is lost.
+        """
         findings: list[Finding] = []
-        if any(segment.stream.type in types for types in self._sets):
-            rows = with_envelope(segment.stream, segment.header.first_sequence, batch)
-            rows = self._believed(segment, rows)
-            for types, rules in list(self._sets.items()):
-                if segment.stream.type in types:
-                    self._events_of[types] = self._events_of.get(types, 0) + rows.num_rows
-                    findings += self._findings(rules.push(rows), rules)
-        if batch.type in CONTROL:
-            for number, event in enumerate(events_of(batch)):
-                findings += self._told(event, segment, segment.header.first_sequence + number)
+        together: list[_Part] = []
+        for segment in segments:
+            try:
+                batch = decode(segment, self._catalogue)
+            except UnknownType as error:
+                self.segments_skipped += 1
+                logger.warning("no rule sees the segment at position %d: %s", segment.position, error)
+                continue
+            self.events_unsaved += segment.header.event_count
+            is_control = batch.type in CONTROL
+            is_full = sum(len(part.rows) for part in together) + len(batch) > self._limits.events_together
+            if together and (is_control or is_full or is_one_by_one):
+                findings += self._pushed(together)
+                together = []
+            if any(segment.stream.type in types for types in self._sets):
+                together.append(_Part(segment, batch.type, self._believed(segment, batch)))
+            if is_control:
+                findings += self._pushed(together)
+                together = []
+                self.position = segment.position
+                findings += self._controlled(segment, batch)
+        findings += self._pushed(together)
+        if segments:
+            self.position = segments[-1].position
+        return findings
+
+    def _controlled(self, segment: Segment, batch: EventBatch) -> list[Finding]:
+        """What events lead to that say something of cameras or processes."""
+        findings = []
+        for number, event in enumerate(events_of(batch)):
+            findings += self._told(event, segment, segment.header.first_sequence + number)
         return sorted(findings, key=lambda each: each.member.service.key)
+
+    def _pushed(self, parts: Sequence["_Part"]) -> list[Finding]:
+        """What segments, of which each is a unit of arrival, lead to."""
+        findings = []
+        for types, rules in list(self._sets.items()):
+            own = [part for part in parts if part.segment.stream.type in types]
+            if not own:
+                continue
+            self._events_of[types] = self._events_of.get(types, 0) + sum(len(part.rows) for part in own)
+            known = len(rules.failures)
+            outcomes = rules.push_units(_units(own, self._columns_of(types)))
+            if len(own) > 1 and len(rules.failures) > known:
+                raise RunOneByOne(parts[-1].segment.position)
+            for part, outcome in zip(own, outcomes, strict=True):
+                self.position = part.segment.position
+                findings += self._findings(outcome, rules)
+        return sorted(findings, key=lambda each: (each.position, each.member.service.key))
+
+    def _columns_of(self, types: frozenset[str]) -> frozenset[str] | None:
+        """The columns that the rules of a set read; None: they may read any."""
+        if SITUATION in types:
+            return None
+        if types not in self._columns:
+            inputs = (each for member in self.members.values() if member.types == types for each in member.bound.inputs)
+            self._columns[types] = frozenset().union(*(each.reads for each in inputs))
+        return self._columns[types]
 
     def fall_idle(self, now: datetime) -> list[Finding]:
         """What follows from sources that have been silent for a rule's idle time, by the clock on the wall."""
@@ -235,8 +291,10 @@ class Pass:
                 member.failure, member.failed_at = rules.failures[name], self.position
         return findings
 
-    def _believed(self, segment: Segment, rows: pa.RecordBatch) -> pa.RecordBatch:
-        """The rows but for those far in the future."""
+    def _believed(self, segment: Segment, batch: EventBatch) -> pa.RecordBatch:
+        """The events but for those far in the future, with their sequences."""
+        first = segment.header.first_sequence
+        rows = batch.data.append_column("sequence", pa.array(np.arange(first, first + len(batch), dtype=np.int64)))
         source, ahead = str(segment.stream.source), self._limits.ahead
         newest_us = self.newest_us.get(source)
         latest_us = _us(segment.header.time_max)
@@ -250,7 +308,6 @@ class Pass:
             self.newest_us[source] = max(newest_us, int(times[is_believed].max()))
         refused = np.flatnonzero(~is_believed)
         if len(refused):
-            first = segment.header.first_sequence
             refs = [
                 EventRef(str(segment.stream), first + int(at), _EPOCH + timedelta(microseconds=int(times[at])))
                 for at in refused
@@ -259,6 +316,60 @@ class Pass:
                 if segment.stream.type in member.types:
                     member.missed.future(refs, ahead.total_seconds())
         return rows.filter(pa.array(is_believed))
+
+
+class RunOneByOne(Exception):
+    """A rule failed among segments that were run together: they are to be run again, one by one.
+
+    Attributes:
+        position: The last of them.
+    """
+
+    def __init__(self, position: int) -> None:
+        super().__init__(f"a rule failed among segments up to position {position}")
+        self.position = position
+
+
+@dataclass(frozen=True, slots=True)
+class _Part:
+    """A segment and its events, with their sequences."""
+
+    segment: Segment
+    type: type[EventType]
+    rows: pa.RecordBatch
+
+    def __len__(self) -> int:
+        return int(self.rows.num_rows)
+
+
+def _units(parts: Sequence[_Part], columns: frozenset[str] | None) -> list[Units]:
+    """The segments as units of arrival, those of one type that follow each other in one table.
+
+    Args:
+        parts: The segments.
+        columns: The columns that are read; None: all.
+    """
+    return [_united(list(few), columns) for _, few in groupby(parts, key=lambda part: part.type)]
+
+
+def _united(parts: Sequence[_Part], columns: frozenset[str] | None) -> Units:
+    whole = pa.Table.from_batches([part.rows for part in parts])
+    bounds = list(accumulate((len(part) for part in parts), initial=0))
+    streams = [part.segment.stream for part in parts]
+    table = {name: _spread([str(getattr(each, name)) for each in streams], bounds) for name in _STREAM_COLUMNS}
+    if columns is None or "subject" in columns:
+        subject = parts[0].type.subject_field
+        nothing = pa.nulls(len(whole), pa.string())
+        table["subject"] = nothing if subject is None else whole.column(subject).cast(pa.string())
+    kept = [name for name in whole.column_names if columns is None or name in columns or name in _ROW_COLUMNS]
+    return Units(pa.table(table | {name: whole.column(name) for name in kept}), bounds)
+
+
+def _spread(texts: Sequence[str], bounds: Sequence[int]) -> pa.DictionaryArray:
+    """A column with one text for each unit's rows."""
+    numbers = {text: number for number, text in enumerate(dict.fromkeys(texts))}
+    of_units = np.array([numbers[text] for text in texts], dtype=np.int32)
+    return pa.DictionaryArray.from_arrays(pa.array(np.repeat(of_units, np.diff(bounds))), pa.array(list(numbers)))
 
 
 def site_at(log: Log, position: int) -> list[SiteEvent]:

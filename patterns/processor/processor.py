@@ -40,7 +40,7 @@ from patterns.processor.deploying import (
 )
 from patterns.processor.limits import ProcessorLimits
 from patterns.processor.members import Finding, Member
-from patterns.processor.passes import Pass, newest_of, site_at
+from patterns.processor.passes import Pass, RunOneByOne, newest_of, site_at
 from patterns.processor.saving import (
     Mark,
     mark_name,
@@ -105,6 +105,7 @@ class Processor:
         self._work: Work | None = None
         self._is_stale = False
         self._segments_skipped = 0
+        self._one_by_one_to = 0
         self._recorded_at = datetime(1970, 1, 1, tzinfo=UTC)
         for rule in rules or ():
             bind(rule, self._readable_by(rule), limits=self._limits.rules)  # what does not fit is told at once
@@ -150,13 +151,18 @@ class Processor:
         """
         if self._is_stale:
             self._begin()
+        situations = 0
         try:
-            situations = self._finish_work()
+            situations += self._finish_work()
             is_caught_up = self._follow(0.0 if self._joining else timeout_s)
             situations += self._finish_work()
             for rules in list(self._joining):
                 self._catch_up(rules)
                 situations += self._finish_work()
+        except RunOneByOne as error:
+            self._one_by_one_to = max(error.position, self._one_by_one_to)
+            self._is_stale, self._work = True, None
+            return Step(self._committed, False, situations)
         except Overtaken as error:
             logger.warning("%s; going on from the log", error)
             self._is_stale, self._work = True, None
@@ -352,7 +358,7 @@ class Processor:
         position = rule_events[-1].position if rule_events else delivery.position
         is_caught_up = delivery.is_caught_up and not rule_events
         self._is_stale = True  # until what follows from the segments is known, the rules are ahead of it
-        findings = [finding for segment in segments for finding in self._taken(self._main, segment)]
+        findings = self._taken(self._main, segments)
         self._main.position = position
         if self._main.reads_situations:
             is_caught_up = is_caught_up and not segments  # what these led to is still to be read
@@ -370,15 +376,20 @@ class Processor:
         found = self._log.read_all(rules.position + 1, types=sorted(rules.types), to_position=until)
         page = list(islice(found, self._limits.segments))
         self._is_stale = True
-        findings = [finding for segment in page for finding in self._taken(rules, segment)]
+        findings = self._taken(rules, page)
         if len(page) < self._limits.segments:
             rules.position = until
         self._work = Work(rules, rules.position, findings, [])
         self._is_stale = False
 
-    def _taken(self, rules: Pass, segment: Segment) -> list[Finding]:
-        self._recorded_at = max(self._recorded_at, segment.recorded_at)
-        return rules.take(segment)
+    def _taken(self, rules: Pass, segments: Sequence[Segment]) -> list[Finding]:
+        """What segments, the next of the pass, lead to.
+
+        Raises:
+            RunOneByOne: A rule failed; this begins again from the log.
+        """
+        self._recorded_at = max([self._recorded_at, *(each.recorded_at for each in segments)])
+        return rules.take(segments, is_one_by_one=rules.position < self._one_by_one_to)
 
     def _cut(self, segments: list[Segment]) -> tuple[list[Segment], list[Segment]]:
         """The segments before the first that says which rules run, and that with those right behind it."""

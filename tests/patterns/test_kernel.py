@@ -1,6 +1,7 @@
 """The compiled kernel and the general matcher agree: random rules, random rows, random splits."""
 
 import os
+from itertools import accumulate
 from typing import Any
 
 import pytest
@@ -11,6 +12,7 @@ from patterns import Outcome, PatternError, RuleRun, RuleSetRun
 from patterns.bound import BoundRule
 from patterns.compiling import compile_kernel
 from patterns.packed import pack
+from patterns.rows import Units
 from patterns.ruleset import merged
 from tests.patterns.reference import Tree, rendered
 from tests.patterns.samples import bound_unless_empty, letter_rows, letter_rule, trees
@@ -126,3 +128,33 @@ def test_the_kernel_finds_what_the_general_matcher_finds(
         wanted: Any = alone(bound, parts)
         failure = group.failures.get(name)
         assert (str(failure) if failure else found.get(name, Outcome())) == wanted, name
+
+
+@pytest.mark.timeout(900)
+@settings(max_examples=EXAMPLES, deadline=None)
+@given(
+    data=st.data(), rows=records(), cuts=st.lists(st.integers(0, 100), max_size=7), seed=st.integers(0, 14),
+    groups=st.lists(st.integers(1, 4), min_size=8, max_size=8), is_late=st.booleans(),
+)  # fmt: skip
+def test_units_of_arrival_pushed_together_lead_to_what_each_leads_to(
+    data: st.DataObject, rows: list[Record], cuts: list[int], seed: int, groups: list[int], is_late: bool
+) -> None:
+    bounds = [bound for at in range(3) if (bound := data.draw(rules(f"rule-{at}"))) is not None]
+    assume(bounds)
+    arriving = _with_more(rows if is_late else sorted(rows, key=lambda row: row["us"] + row["delay"]), seed)
+    parts = pieces(arriving, cuts)
+    each_alone, together = (RuleSetRun(bounds, uses_kernel=True) for _ in range(2))
+    wanted = [each_alone.push(letter_rows(part)) for part in parts]
+    found: list[Any] = []
+    for count in groups:
+        few = parts[len(found) : len(found) + count]
+        if few:
+            ends = list(accumulate(map(len, few), initial=0))
+            found += together.push_units([Units(letter_rows([row for part in few for row in part]), ends)])
+    assume(not each_alone.failures)
+    assert together.failures == {}
+    assert found == wanted
+    for name in together.rules:
+        assert together.status(name).rows_waiting == each_alone.status(name).rows_waiting
+        assert together.status(name).counts == each_alone.status(name).counts
+    assert together.finish() == each_alone.finish()

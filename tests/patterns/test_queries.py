@@ -24,13 +24,6 @@ def test_the_name_of_a_result_is_none_that_the_user_has() -> None:
     assert query(f"SELECT a.last FROM __match_1 {PAIR} AS a, __match_1 AS b", tables).num_rows == 3
 
 
-def test_rows_without_columns_are_counted_and_given_back() -> None:
-    bare = "MATCH_RECOGNIZE (ORDER BY id PATTERN (A))"
-    assert query(f"SELECT count(*) AS n FROM t {bare}", {"t": LETTERS}).to_pylist() == [{"n": 3}]
-    answer = query(f"SELECT * FROM t {bare}", {"t": LETTERS})
-    assert (answer.num_columns, answer.num_rows) == (0, 3)
-
-
 def test_an_answer_may_have_two_columns_of_one_name() -> None:
     assert query(f"SELECT last, last FROM t {PAIR}", {"t": LETTERS}).column_names == ["last", "last"]
 

@@ -109,9 +109,37 @@ SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES ▸B.x AS x PATTERN (A))
 SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id PATTERN (A) DEFINE A AS ▸B.x = 'a')
 --- error B
 
---- case the name of the table in front of a column
-SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id PATTERN (A) DEFINE A AS ▸t.x = 'a')
+--- case the name of another table in front of a column
+SELECT * FROM t AS seen MATCH_RECOGNIZE (ORDER BY id MEASURES id AS i PATTERN (A) DEFINE A AS ▸t.x = 'a')
 --- error t
+
+--- case a result without a column
+SELECT count(*) FROM t ▸MATCH_RECOGNIZE (ORDER BY id PATTERN (A))
+--- error no column
+
+--- case a quantifier that allows no time
+SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES id AS i PATTERN (A B▸{0}))
+--- error at least 1
+
+--- case a quantifier up to no time
+SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES id AS i PATTERN (A B▸{,0}?))
+--- error at least 1
+
+--- case one row of DISTINCT values
+SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES ▸LAST(DISTINCT x) AS i PATTERN (A))
+--- error DISTINCT
+
+--- case an order that looks at the match
+SELECT * FROM t MATCH_RECOGNIZE (ORDER BY abs(▸PREV(id)) MEASURES id AS i PATTERN (A))
+--- error there is no match to look at yet
+
+--- case a partition by an aggregate
+SELECT * FROM t MATCH_RECOGNIZE (PARTITION BY ▸sum(id) + 1 MEASURES id AS i PATTERN (A))
+--- error there is no match to look at yet
+
+--- case an order by a computed column that is not there
+SELECT * FROM t MATCH_RECOGNIZE (ORDER BY -▸nothing MEASURES id AS i PATTERN (A))
+--- error nothing
 
 --- case a definition of a variable that the pattern does not have
 SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id PATTERN (A) DEFINE A AS x = 'a', ▸B AS x = 'b')
@@ -332,7 +360,7 @@ SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES id AS id
 --- error syntax error
 
 --- case a mistake in the SQL before the clause
-SELECT 'é', ▸nothing FROM t MATCH_RECOGNIZE (ORDER BY id PATTERN (A))
+SELECT 'é', ▸nothing FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES id AS i PATTERN (A))
 --- error nothing
 
 --- case a mistake in the input

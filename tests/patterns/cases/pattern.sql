@@ -178,14 +178,6 @@ m | n
 1 | 2
 2 | 0
 
---- case no times
---- letters t ab
-SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES array_agg(CLASSIFIER()) AS c PATTERN (A{0} B)
-  DEFINE A AS x = 'a', B AS x = 'b')
---- wanted
-c
-[B]
-
 --- case spaces inside bounds
 --- letters t aaa
 SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES COUNT(*) AS n PATTERN (A{ 2 , 3 }) DEFINE A AS x = 'a')

@@ -47,7 +47,7 @@ ACME | 9
 BETA | 7
 
 --- case an input that is a table in its schema
-SELECT count(*) AS n FROM main.ticks MATCH_RECOGNIZE (ORDER BY symbol, ts PATTERN (A))
+SELECT count(*) AS n FROM main.ticks MATCH_RECOGNIZE (ORDER BY symbol, ts MEASURES ts AS at PATTERN (A))
 --- wanted
 n
 6
@@ -270,7 +270,89 @@ SELECT * FROM (SELECT * FROM ticks WHERE FALSE) MATCH_RECOGNIZE (PARTITION BY sy
 symbol | s | c varchar
 
 --- case an answer whose rows are made into a table
-CREATE TABLE kept AS SELECT * FROM ticks MATCH_RECOGNIZE (ORDER BY ts PATTERN (A))
+CREATE TABLE kept AS SELECT * FROM ticks MATCH_RECOGNIZE (ORDER BY ts MEASURES ts AS at PATTERN (A))
 --- wanted
 Count bigint
 6
+
+--- case the name of the input in front of its columns
+--- letters t aab
+SELECT * FROM t AS seen MATCH_RECOGNIZE (PARTITION BY seen.x ORDER BY seen.id
+  MEASURES SUM(seen.id) AS s, LAST(SEEN.id) AS l, A.id AS a PATTERN (A B?) DEFINE B AS seen.id > PREV(seen.id))
+--- wanted
+x | s | l | a
+a | 3 | 2 | 1
+b | 3 | 3 | 3
+
+--- case a variable that is called like the input
+--- letters t abb
+SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES LAST(t.id) AS l, COUNT(t.*) AS n PATTERN (t A+) DEFINE t AS x = 'a')
+--- wanted
+l | n
+1 | 1
+
+--- case partitions and order by expressions
+SELECT * FROM t MATCH_RECOGNIZE (PARTITION BY lower(name) ORDER BY -id, length(name) DESC
+  MEASURES array_agg(id) AS ids PATTERN (A+))
+--- table t
+id int | name varchar
+1      | ann
+2      | bob
+3      | Ann
+4      | BOB
+5      | cid
+--- wanted
+lower(name) | ids
+ann         | [3, 1]
+bob         | [4, 2]
+cid         | [5]
+
+--- case what the order is by is no column of all rows
+--- letters t abc
+SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id % 2, id MEASURES COUNT(*) AS n ALL ROWS PER MATCH PATTERN (A+))
+--- wanted
+id | n | x
+2  | 1 | b
+1  | 2 | a
+3  | 3 | c
+
+--- case an order by a field
+SELECT * FROM (SELECT {'h': 9, 'm': 5} AS seen UNION ALL SELECT {'h': 8, 'm': 59}) AS o MATCH_RECOGNIZE (
+  ORDER BY o.seen.h, seen.m MEASURES FIRST(seen.h) AS f, LAST(A.seen.m) AS l PATTERN (A+))
+--- wanted
+f | l
+8 | 5
+
+--- case columns that are called like clauses
+SELECT * FROM t MATCH_RECOGNIZE (ORDER BY pattern, define MEASURES A.pattern AS p, A.define + t.final AS d, define AS e,
+  FINAL LAST(final) AS f, running AS r PATTERN (A) DEFINE A AS A.pattern = 1)
+--- table t
+pattern int | define int | final int | running int
+1           | 2          | 3         | 4
+--- wanted
+p | d | e | f | r
+1 | 5 | 2 | 3 | 4
+
+--- case a place in a list that an aggregate makes
+--- letters t abc
+SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id
+  MEASURES list(x)[2] AS b, array_agg(x)[1] AS a, list(B.id)[-1] AS c, ARRAY[LAST(x)] AS d PATTERN (A B+))
+--- wanted
+b | a | c | d
+b | a | 3 | [c]
+
+--- case sums divide as whole numbers do
+--- letters t abb
+SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES SUM(id) / 4 AS s, SUM(id) / COUNT(*) AS m PATTERN (A+)
+  DEFINE A AS SUM(id) / 4 <= 1)
+--- wanted
+s | m
+1 | 2
+
+--- case a condition that is NULL
+--- letters t ab
+SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES COUNT(*) AS n PATTERN (A | B) DEFINE A AS NULL)
+--- wanted
+n
+1
+1

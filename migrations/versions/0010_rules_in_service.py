@@ -3,7 +3,7 @@
 `situation_shadowed`, `rule_retired` and `rule_missed` join the view `events`. `rule_deployed` gets
 `after_position` and `is_shadow`, filled in for the rows that are there as the upcaster would.
 
-Revision: 0012
+Revision: 0010
 """
 
 from typing import Any
@@ -12,7 +12,7 @@ import sqlalchemy as sa
 from alembic import op
 from sqlalchemy.dialects import postgresql as pg
 
-revision = "0012"
+revision = "0010"
 down_revision = "0009"
 branch_labels = None
 depends_on = None
