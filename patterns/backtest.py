@@ -83,7 +83,7 @@ class Backtest:
         Raises:
             PatternError: The rule cannot go on; online it would be set aside here.
         """
-        outcome = self._told(self._pass.take(segment))
+        outcome = self._told(self._pass.take([segment]))
         if segment.stream.type in _SITE_TYPES:
             self._learn_all(segment)
         return outcome

@@ -177,6 +177,15 @@ class RuleSetRun:
             counts, lane.watermark, lane.rows_waiting, lane.partitions_open(name), member.emitter.held_back, spent_s
         )
 
+    def spent_s(self, name: str) -> float:
+        """Seconds that the rule has taken, by the clock that the set was given.
+
+        Raises:
+            PatternError: The set has no such rule.
+        """
+        self._check_has(name)
+        return self._spent_s[name]
+
     def partial_matches(self, name: str) -> int:
         """How many partial matches of the rule are open, of all partitions; looks at each of them.
 

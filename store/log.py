@@ -149,7 +149,7 @@ class Transaction:
         names = sorted(checkpoints)
         self.connection.execute(
             "insert into checkpoints (name, position, state) "
-            "select * from unnest(%s::text[], %s::bigint[], %s::bytea[]) on conflict (name) do update "
+            "select * from unnest(%s::text[], %s::bigint[], %b::bytea[]) on conflict (name) do update "
             "set position = excluded.position, state = excluded.state, saved_at = now()",
             (names, [checkpoints[name].position for name in names], [checkpoints[name].state for name in names]),
         )

@@ -239,7 +239,8 @@ class Pass:
             events = self._events_of.get(member.types, 0)
             if member.failure is not None or not events:
                 continue
-            member.pace.note(self.status(member).spent_s, events, limits.event_us, limits.window_events)
+            spent_s = self._sets[member.types].spent_s(member.name)
+            member.pace.note(spent_s, events, limits.event_us, limits.window_events)
             if member.pace.slow_windows >= limits.slow_windows:
                 member.failed_at = self.position + 1
                 member.failure = RuleTooSlow(

@@ -5,17 +5,31 @@ Pure: the same match is the same event, whether it was found online or in a back
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from datetime import datetime, timedelta
 from typing import Any
 
-from events import Draft, MatchedRange, Producer, SituationDetected, SituationShadowed, StreamName, batch_of, encode
+import pyarrow as pa
+
+from events import (
+    Draft,
+    EventBatch,
+    EventType,
+    Producer,
+    SituationDetected,
+    SituationShadowed,
+    StreamName,
+    encode,
+    schema_of,
+)
 from patterns.rule import Rule
 from patterns.running import SITUATIONS_SOURCE
 from patterns.situations import Match
 
 SOURCE = SITUATIONS_SOURCE
 """Source of deployments, and of situations of a rule that is not partitioned by source."""
+SITUATIONS_TOGETHER = 5_000
+"""Most situations of one segment: with their lineage they take a kilobyte each, or more."""
 
 
 def producer_of(rule: Rule) -> Producer:
@@ -24,16 +38,28 @@ def producer_of(rule: Rule) -> Producer:
 
 
 def drafts_of(rule: Rule, station: str, matches: Sequence[Match], *, is_shadow: bool = False) -> list[Draft]:
-    """The matches as situations to append: one draft for each source, in order."""
+    """The matches as situations to append: for each source one draft, or more where there are many, in order."""
     event_type = SituationShadowed if is_shadow else SituationDetected
-    by_source: dict[str, list[SituationDetected | SituationShadowed]] = {}
+    by_source: dict[str, list[Match]] = {}
     for match in matches:
-        said = shadow_of(match) if is_shadow else situation_of(match)
-        by_source.setdefault(str(match.partition.get("source") or SOURCE), []).append(said)
+        by_source.setdefault(str(match.partition.get("source") or SOURCE), []).append(match)
     return [
-        encode(StreamName.of(station, source, event_type.type_name), batch_of(events), _producer(rule, matches[0]))
-        for source, events in by_source.items()
+        encode(StreamName.of(station, source, event_type.type_name), _batch(event_type, few), _producer(rule, few[0]))
+        for source, own in by_source.items()
+        for few in _pages(own)
     ]
+
+
+def _pages(matches: list[Match]) -> Iterator[list[Match]]:
+    for begin in range(0, len(matches), SITUATIONS_TOGETHER):
+        yield matches[begin : begin + SITUATIONS_TOGETHER]
+
+
+def _batch(event_type: type[EventType], matches: Sequence[Match]) -> EventBatch:
+    """The events that say the matches: by column, because models are dear where there are many."""
+    rows = [_fields(match) for match in matches]
+    columns = [pa.array([row[field.name] for row in rows], field.type) for field in schema_of(event_type)]
+    return EventBatch(event_type, pa.RecordBatch.from_arrays(columns, schema=schema_of(event_type)))
 
 
 def _producer(rule: Rule, match: Match) -> Producer:
@@ -53,7 +79,10 @@ def shadow_of(match: Match) -> SituationShadowed:
 
 def json_of(values: Mapping[str, Any]) -> str:
     """JSON of partition columns or measures: times in ISO 8601, durations in seconds, NaN as null."""
-    return json.dumps(_finite(dict(values)), default=_plain, ensure_ascii=False, allow_nan=False)
+    try:
+        return _JSON.encode(values)
+    except ValueError:
+        return _JSON.encode(_finite(dict(values)))
 
 
 def _fields(match: Match) -> dict[str, Any]:
@@ -70,13 +99,13 @@ def _fields(match: Match) -> dict[str, Any]:
         "began_at": match.first.time,
         "ended_at": match.last.time,
         "lineage": tuple(
-            MatchedRange(
-                variable=variable,
-                stream=each.stream,
-                first_sequence=each.first_sequence,
-                last_sequence=each.last_sequence,
-                events=each.rows,
-            )
+            {
+                "variable": variable,
+                "stream": each.stream,
+                "first_sequence": each.first_sequence,
+                "last_sequence": each.last_sequence,
+                "events": each.rows,
+            }
             for variable, ranges in (*match.lineage.items(), *match.judged_by.items())
             for each in ranges
         ),
@@ -96,3 +125,6 @@ def _plain(value: Any) -> Any:
         return value.isoformat()
     assert isinstance(value, timedelta), f"rules have no values of {type(value)}"
     return value.total_seconds()
+
+
+_JSON = json.JSONEncoder(default=_plain, ensure_ascii=False, allow_nan=False)

@@ -7,6 +7,8 @@ import pytest
 from patterns import BoundRule, LimitError, Outcome, RuleSetRun, bind, match
 from patterns.compiling import compile_kernel
 from patterns.limits import Limits
+from patterns.rows import Units
+from patterns.ruleset import merged
 from tests.patterns.samples import SCHEMAS, define_letters, letter_rows, letter_rule, letters, spans
 
 MORE = "time: {lateness: 0 s}"
@@ -129,3 +131,20 @@ def test_in_batch_a_limit_is_an_error() -> None:
     for second, keys in ((0, range(11)), (1, range(12)), (2, range(12))):
         _pushed(strict, keys, second)
     assert isinstance(strict.failures["sample"], LimitError)
+
+
+def test_what_is_given_up_does_not_depend_on_which_units_come_together(is_on_kernel: bool) -> None:
+    limits = Limits(partitions=12, expiry=timedelta(seconds=16))
+    bound = _bound("A X* B", limits, define="A AS letter = 'a', B AS letter = 'b'")
+    units = [
+        letter_rows([
+            {"us": second * 1_000_000 + key, "key": key * (1 + second % 3), "letter": "ab"[second % 7 == 0], "n": 0}
+            for key in range(3 + second % 5)
+        ])
+        for second in range(40)
+    ]  # fmt: skip
+    one_by_one, together = (RuleSetRun([bound], uses_kernel=is_on_kernel) for _ in range(2))
+    wanted = merged(one_by_one.push(unit) for unit in units)["sample"]
+    found = merged(together.push_units([Units.one(unit) for unit in units]))["sample"]
+    assert found == wanted
+    assert sum(lost.partitions for lost in wanted.given_up) > 5

@@ -9,7 +9,9 @@ from typing import Any
 import pytest
 
 from events import StreamName, batch_of, encode
+from patterns import parse_rule
 from patterns.errors import MatchError, PatternError
+from patterns.expanding import expand
 from patterns.limits import Limits
 from patterns.processor import (
     Processor,
@@ -114,7 +116,7 @@ def test_a_version_that_begins_in_the_past_catches_up_beside_the_others(log: Log
     walk(log, range(8))
     processor.catch_up()
     deployed(log, rule("again"), after=0)
-    steps = []
+    steps: list[Any] = []
     walk(log, range(8, 12))
     end(log, "gate")
     while not steps or not steps[-1].is_caught_up:
@@ -219,18 +221,34 @@ def test_a_rule_that_raises_anything_is_retired_with_its_position_and_comes_back
     assert not processor.failures
 
 
+@pytest.mark.parametrize("is_compiled", [True, False])
+def test_a_rule_that_fails_among_segments_read_together_has_told_what_it_found_before(
+    make_log: MakeLog, monkeypatch: pytest.MonkeyPatch, is_compiled: bool
+) -> None:
+    monkeypatch.setattr("patterns.compiling.is_compiled", lambda: is_compiled)
+    early = "early AS in_zone(early.x, early.y, 'yard') AND early.sequence < 18"
+    breaks = rule("breaks", pattern="(outside inside early?)", skip="SKIP TO LAST early")
+    breaks = parse_rule(expand(breaks).replace("DEFINE outside", f"DEFINE {early}, outside"))
+    said_of = []
+    for limits in (ProcessorLimits(segments=1), ProcessorLimits()):
+        log = make_log()
+        deployed(log, breaks, rule())
+        walkers(log)
+        Processor(log, STATION, limits=limits).catch_up()
+        (gone,) = said(log, "rule_retired")
+        said_of.append((gone.reason, [(each.rule, each.situation) for each in situations(log)]))
+    assert said_of[0] == said_of[1]
+    assert "SKIP TO LAST" in said_of[0][0]
+    assert [name for name, _ in said_of[0][1]].count("breaks") >= 1
+
+
 def test_a_rule_that_is_too_slow_is_set_aside_and_named(log: Log, monkeypatch: pytest.MonkeyPatch) -> None:
     walkers(log)
     deployed(log, rule("slow"), rule())
     ticks = iter(range(10_000_000))
-    original = RuleSetRun.status
-
-    def status(self: RuleSetRun, name: str) -> Any:
-        found = original(self, name)
-        spent_s = next(ticks) * 10.0 if name.startswith("slow") else 0.0
-        return type(found)(**{**{n: getattr(found, n) for n in found.__slots__}, "spent_s": spent_s})
-
-    monkeypatch.setattr(RuleSetRun, "status", status)
+    monkeypatch.setattr(
+        RuleSetRun, "spent_s", lambda self, name: next(ticks) * 10.0 if name.startswith("slow") else 0.0
+    )
     limits = ProcessorLimits(segments=1, window_events=1, slow_windows=3)
     processor = Processor(log, STATION, limits=limits)
     processor.catch_up()
