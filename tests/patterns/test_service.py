@@ -203,7 +203,7 @@ def test_a_rule_that_raises_anything_is_retired_with_its_position_and_comes_back
     original = Narrator.match
 
     def breaks(self: Narrator, key: Any, found: Any) -> Any:
-        if self.bound.rule.rule == "breaks":
+        if self.rule.rule == "breaks":
             raise ZeroDivisionError("by zero")
         return original(self, key, found)
 
