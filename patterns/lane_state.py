@@ -270,13 +270,12 @@ def _insert(lane: Lane, at: int, saved: Saved) -> None:
     member.emitter.restore(header["emitter"])
     member.matches = header["counts"][2]
     waiting = saved.tables["waiting"]
-    for name in lane.columns:
-        if waiting.num_rows and name in waiting.column_names and name not in lane.waiting[0].column_names:
-            lane.waiting = [lane.waiting[0].append_column(name, waiting.column(name))]
     if waiting.num_rows:
-        # Rows to come have their columns in this order, and tables of one order alone can be put together.
-        order = [STREAM, TIME, SEQUENCE, *lane.columns]
-        lane.waiting = [lane.waiting[0].select([name for name in order if name in lane.waiting[0].column_names])]
+        (rows,) = lane.waiting
+        # As rows come, so that those that waited stand beside those that come.
+        names = [STREAM, TIME, SEQUENCE, *(n for n in lane.columns if n in {*rows.column_names, *waiting.column_names})]
+        columns = [(rows if name in rows.column_names else waiting).column(name) for name in names]
+        lane.waiting = [pa.table(columns, names=names)]
     pools = {name: _integers(saved.tables[name]) for name in _POOLS}
     keys = Keys(lane.input.kinds)
     keys.texts = Texts(header["key_texts"])
