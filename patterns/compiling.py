@@ -8,14 +8,18 @@ finds the same. The cache lies beside the source, or where that cannot be writte
 """
 
 import hashlib
+import logging
+import os
 import platform
 import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
+from threading import Thread
 
-import numba
-
-from patterns import kernel, raster
+logger = logging.getLogger(__name__)
 
 _SAMPLE = """rule: sample
 version: 1
@@ -34,29 +38,68 @@ match: |
 
 def is_compiled() -> bool:
     """Whether the kernel, as it is now, was compiled on this machine before."""
-    return _marker().exists()
+    marker = _marker()
+    return marker is not None and marker.exists()
 
 
 def compile_kernel() -> None:
     """Compiles the kernel if it was not; when this returns, it is."""
-    if not is_compiled():
+    marker = _marker()
+    if marker is None or not marker.exists():
         _run_sample()
-        _marker().touch()
+    if marker is not None:
+        marker.touch()
 
 
-def start_compiling() -> "subprocess.Popen[bytes] | None":
-    """A process that compiles the kernel, when it is not; the caller waits for it or lets it be."""
-    if is_compiled():
+@contextmanager
+def compiling_beside() -> Iterator[None]:
+    """Compiles the kernel in a process of low priority beside what is done meanwhile, if it was not compiled.
+
+    That it fails is logged and harms nothing. What is left when the block ends is compiled another time.
+    """
+    if _marker() is None or is_compiled():
+        yield
+        return
+    process = subprocess.Popen(
+        [sys.executable, "-m", "patterns.compiling"], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+    )  # fmt: skip
+    is_told_to_end = False
+
+    def reap() -> None:
+        _, said = process.communicate()
+        if process.returncode and not is_told_to_end:
+            logger.warning(
+                "the kernel is not compiled (exit %d), so rules run on the general matcher, slower. "
+                "Next: python -m patterns.compiling. It said: %s",
+                process.returncode, said.decode(errors="replace").strip()[-500:],
+            )  # fmt: skip
+
+    reaper = Thread(target=reap, name="compiling", daemon=True)
+    reaper.start()
+    try:
+        yield
+    finally:
+        is_told_to_end = True
+        process.terminate()
+        reaper.join()
+
+
+@cache
+def _marker() -> Path | None:
+    """The file that says it: named by what numba's cache depends on. None: nothing can be kept."""
+    # Numba takes a third of a second to import: only who asks pays that.
+    import numba
+
+    from patterns import jit, kernel, raster
+
+    folder = kernel.run.stats.cache_path
+    if folder is None:
         return None
-    return subprocess.Popen([sys.executable, "-m", "patterns.compiling"])
-
-
-def _marker() -> Path:
-    """The file that says it: named by what numba's cache depends on."""
-    sources = b"".join(Path(str(module.__file__)).read_bytes() for module in (kernel, raster))
+    sources = b"".join(Path(str(module.__file__)).read_bytes() for module in (jit, kernel, raster))
     machine = f"{numba.__version__} {platform.python_version()} {platform.machine()} {platform.node()}"
     name = hashlib.sha256(sources + machine.encode()).hexdigest()[:16]
-    return Path(kernel.run.stats.cache_path) / f"kernel-{name}.compiled"
+    return Path(folder) / f"kernel-{name}.compiled"
 
 
 def _run_sample() -> None:
@@ -86,4 +129,5 @@ def _run_sample() -> None:
 
 
 if __name__ == "__main__":
+    os.nice(10)  # what waits for it goes on meanwhile, and comes first
     compile_kernel()

@@ -21,7 +21,7 @@ from patterns.columns import ColumnEvaluator, Rows
 from patterns.errors import LimitError
 from patterns.expressions import walk
 from patterns.guards import compile_guard
-from patterns.matcher import Block, Found, Machine, Matcher, Partition
+from patterns.matcher import Block, Found, Loss, Machine, Matcher, Partition
 from patterns.places import Places
 from patterns.registers import Update, initial, update_of
 from patterns.registers import live_registers as _live
@@ -67,11 +67,19 @@ class _Grouped:
 class Engine:
     """Runs one rule. Partitions are independent; those with nothing to remember are forgotten."""
 
-    def __init__(self, bound: BoundRule, site: Site) -> None:
+    def __init__(self, bound: BoundRule, site: Site, *, is_strict: bool = True) -> None:
+        """Build an engine that remembers nothing.
+
+        Args:
+            bound: The rule.
+            site: What is known of the cameras.
+            is_strict: Whether a limit is an error; else what it costs is given up, see `losses`.
+        """
         self.bound = bound
+        self.is_strict = is_strict
         self.places = Places(bound.rule.zones, bound.rule.lines, site)
         self.masks = tuple(sum(1 << at for at in each.predicates) for each in bound.conditions)
-        machine = machine_of(bound, self.places, self.masks)
+        machine = machine_of(bound, self.places, self.masks, is_strict=is_strict)
         self.matcher = Matcher(machine)
         if bound.timers:
             self.matcher = TimedMatcher(machine, timers_of(bound, self.places), bound.timed)
@@ -84,6 +92,7 @@ class Engine:
 
         Raises:
             MatchError: The rule cannot go on with these rows.
+            LimitError: It remembers more than it may, where that is strict.
         """
         if rows.num_rows == 0:
             return []
@@ -93,7 +102,37 @@ class Engine:
         starts = self._starts(truths, grouped)
         active = self._active(grouped, starts)
         block = self._block(grouped, evaluator, truths, starts, active)
-        return self._run(grouped, block, active)
+        found = self._run(grouped, block, active)
+        if self.is_strict and len(self.open) > self.bound.limits.partitions:
+            raise LimitError(f"rule {self.bound.rule.rule}: {self._too_many}. A WITHIN lets partitions be forgotten")
+        return found
+
+    @property
+    def _too_many(self) -> str:
+        return f"{len(self.open)} partitions are remembered; the limit `partitions` is {self.bound.limits.partitions}"
+
+    def losses(self) -> list[Loss]:
+        """What the limit `threads` cost since this was last asked."""
+        losses, self.matcher.losses = self.matcher.losses, []
+        return losses
+
+    def limit_partitions(self) -> tuple[str, list[Loss]]:
+        """Gives up partitions, those that were silent longest, if there are more than the limit; why, and which."""
+        most, why = self.bound.limits.partitions, self._too_many
+        if len(self.open) <= most:
+            return why, []
+        by_age = sorted(self.open, key=lambda key: _touched_us(self.open[key]))
+        return why, [self._give_up(key) for key in by_age[: len(by_age) - most // 2]]
+
+    def give_up_silent(self, before_us: int) -> list[Loss]:
+        """Gives up the partitions whose last row lies before this time."""
+        return [self._give_up(key) for key in [key for key, s in self.open.items() if _touched_us(s) < before_us]]
+
+    def _give_up(self, key: Key) -> Loss:
+        partition = self.open.pop(key).partition
+        threads = sum(len(attempt.threads) for attempt in partition.attempts)
+        first = partition.attempts[0].event if partition.attempts else partition.last
+        return Loss(key, threads, 0 if first is None else first[2])
 
     def expire(self, until_us: int) -> list[tuple[Key, Found]]:
         """The matches made final because no row before this time is still to come."""
@@ -229,6 +268,8 @@ class Engine:
         found: list[tuple[Key, Found]] = []
         at = 0
         wanted = range(len(grouped.keys)) if self.bound.looks_back else np.flatnonzero(active).tolist()
+        last = grouped.table.select([STREAM, SEQUENCE, TIME]).take(pa.array(grouped.bounds[1:] - 1))
+        events = list(zip(*(column.to_pylist() for column in last.columns), strict=True))
         for group in wanted:
             key = grouped.keys[group]
             state = self.open.get(key) or Open(Partition(key=key))
@@ -238,6 +279,7 @@ class Engine:
                 at += length
             else:
                 state.partition.ordinal += length
+                state.partition.last = events[group]
             self._keep(key, state)
         if self.bound.reach:
             self._keep_tails(grouped, [group for group in wanted if grouped.keys[group] in self.open])
@@ -264,15 +306,15 @@ class Engine:
             self.open.pop(key, None)
             return
         self.open[key] = state
-        if len(self.open) > self.bound.limits.partitions:
-            raise LimitError(
-                f"rule {self.bound.rule.rule} remembers {len(self.open)} partitions; the limit `partitions` is "
-                f"{self.bound.limits.partitions}. A WITHIN lets partitions be forgotten"
-            )
         due_us = self.matcher.due(state.partition)
         if due_us is not None and (state.due_us is None or due_us < state.due_us):
             state.due_us = due_us
             heapq.heappush(self._due, (due_us, next(self._serial), key))
+
+
+def _touched_us(state: Open) -> int:
+    """The time of the partition's last row."""
+    return 0 if state.partition.last is None else state.partition.last[2]
 
 
 def _as_table(rows: Sequence[tuple[Any, ...]], schema: pa.Schema) -> pa.Table:
@@ -280,7 +322,7 @@ def _as_table(rows: Sequence[tuple[Any, ...]], schema: pa.Schema) -> pa.Table:
     return pa.table([pa.array(column, each.type) for column, each in zip(columns, schema, strict=True)], schema=schema)
 
 
-def machine_of(bound: BoundRule, places: Places, masks: tuple[int, ...]) -> Machine:
+def machine_of(bound: BoundRule, places: Places, masks: tuple[int, ...], *, is_strict: bool = True) -> Machine:
     """What the matcher needs to know of the rule."""
     tables = bound.tables
     slots = {slot: index for index, slot in enumerate(bound.slots)}
@@ -301,6 +343,7 @@ def machine_of(bound: BoundRule, places: Places, masks: tuple[int, ...]) -> Mach
         skip=bound.skip,
         skip_variables=bound.skip_variables,
         threads_most=bound.limits.threads,
+        is_strict=is_strict,
     )
 
 

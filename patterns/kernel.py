@@ -13,8 +13,9 @@ gives pools with room, and when there is too little, they stop before a row and 
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from patterns.jit import compiled, compiled_with_memory, inlined
 
 Integers = NDArray[np.int64]
 
@@ -59,10 +60,6 @@ FREE_CELL, FREE_ATTEMPT, FREE_THREAD, FREE_TRACE, CELLS, ATTEMPTS, THREADS, TRAC
 # How many have to be free, where there was too little room.
 NEED_CELLS, NEED_ATTEMPTS, NEED_THREADS, NEED_TRACES, NEED_FOUND = range(10, 15)
 CONTROLS = 15
-
-compiled = njit(cache=True, _nrt=False)
-# A call hands over the tables array by array, a hundred words and more: what runs for every row is not called.
-inlined = njit(cache=True, _nrt=False, forceinline=True)
 
 BITS = 64
 """bits a word"""
@@ -135,6 +132,8 @@ class Scratch(NamedTuple):
     memo: Integers
     stack: Integers
     stack_nulls: Integers
+    work: Integers
+    """by rule, how much was done for it since this was last taken: places tried, and instructions of guards"""
 
 
 # Guards: a postfix program over words of 64 bits, which are integers or the bits of floats.
@@ -619,7 +618,7 @@ def _advance(tables, state, scratch, rule, attempt, rows, row, ordinal, safe_unt
     slots_at = R_BITS + words
     thread = attempts[attempt, A_THREAD]
     attempts[attempt, A_THREAD] = -1
-    tail, count, is_settled = -1, 0, False
+    tail, count, is_settled, work = -1, 0, False, 0
     while thread >= 0:
         following, is_free = threads[thread, T_NEXT], True
         if not is_settled and count <= most:
@@ -627,8 +626,10 @@ def _advance(tables, state, scratch, rule, attempt, rows, row, ordinal, safe_unt
             last = tables.follow_at[position + 1] - 1
             for at in range(tables.follow_at[position], last + 1):
                 target = tables.follow[at]
+                work += 1
                 if not _has(rows, row, tables.masks, target, words):
                     continue
+                work += 8 + positions[target, P_GUARD_END] - positions[target, P_GUARD]
                 is_early = positions[target, P_IS_EARLY] != 0
                 if is_early and not _passes(tables, state, scratch, target, rows, row, slots_at, thread):
                     continue
@@ -677,6 +678,7 @@ def _advance(tables, state, scratch, rule, attempt, rows, row, ordinal, safe_unt
         if is_free:
             _free_thread(state, thread)
         thread = following
+    scratch.work[rule] += work
     return count
 
 
@@ -1178,6 +1180,13 @@ def drop_partition(state, partition):
 
 
 @compiled
+def drop_partitions(state, partitions):
+    """Forgets all that is remembered of these partitions."""
+    for at in range(len(partitions)):
+        drop_partition(state, partitions[at])
+
+
+@compiled
 def wanted(tables, state, partitions, watermark, words, is_wanted):
     """Marks the partitions of which anything has to be remembered; what is left over of the others is freed."""
     for partition in range(partitions):
@@ -1297,7 +1306,7 @@ def intern(keys, table, slots, known, numbers):
     return known
 
 
-@njit(cache=True)
+@compiled_with_memory
 def group(numbers, time, rank, sequence, place, partitions, bounds, order):
     """Puts rows in groups of one partition, each in the order of time, rank and sequence.
 
@@ -1339,7 +1348,7 @@ def group(numbers, time, rank, sequence, place, partitions, bounds, order):
     return groups
 
 
-@njit(cache=True)
+@compiled_with_memory
 def _sort(order, begin, end, time, rank, sequence):
     """By insertion while few rows are out of order, else by merging."""
     moves, most = 0, 16 * (end - begin)
@@ -1356,7 +1365,7 @@ def _sort(order, begin, end, time, rank, sequence):
             return
 
 
-@njit(cache=True)
+@compiled_with_memory
 def _merge_sort(order, begin, end, time, rank, sequence):
     width = 1
     source = order[begin:end].copy()

@@ -6,13 +6,14 @@ and makes situations of what the kernel finds. Rules join a lane before its firs
 """
 
 from bisect import bisect_left, bisect_right
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
+from numpy.typing import NDArray
 
 from events import EventType
 from patterns import kernel as k
@@ -26,6 +27,7 @@ from patterns.expressions import Column, Expr, Kind, Shift, column_names, walk
 from patterns.inputs import Input, rows_of
 from patterns.interning import Keys, Texts, as_values
 from patterns.kernel import Integers
+from patterns.limits import Limits
 from patterns.matcher import Ending, Event, Found, Trace
 from patterns.packed import Assembly, Packed
 from patterns.places import Places
@@ -40,6 +42,8 @@ from patterns.tails import Tails
 SLOTS_MOST = 62
 _PARTITIONS_LEAST = 1 << 15
 """Partitions below which forgetting them is not worth while."""
+FoundByRule = dict[int, list[tuple[tuple[Any, ...], Found]]]
+"""By the rule's place what was found: the partition's key, and the match."""
 _WAITING_TABLES_MOST = 32
 """Tables of rows that wait, each of which is looked at in each step."""
 _BEFORE_ALL_US = -(2**63)
@@ -58,7 +62,7 @@ class LaneInput:
         kinds: Their types.
         lateness_us: How late a row may be.
         idle_us: After how long a silent source holds nothing; None: never.
-        partitions_most: The limit `partitions`.
+        limits: What the rules may use.
     """
 
     type: str | None
@@ -68,7 +72,7 @@ class LaneInput:
     kinds: tuple[Kind, ...]
     lateness_us: int
     idle_us: int | None
-    partitions_most: int
+    limits: Limits
 
     @classmethod
     def of(cls, packed: Packed) -> "LaneInput":
@@ -83,7 +87,7 @@ class LaneInput:
             kinds=tuple(bound.columns[name] for name in bound.keys),
             lateness_us=microseconds(time.lateness),
             idle_us=None if time.idle is None else microseconds(time.idle),
-            partitions_most=bound.limits.partitions,
+            limits=bound.limits,
         )
 
 
@@ -99,6 +103,7 @@ class Member:
         emitter: Holds back what is to be held back.
         matches: How many situations it gave.
         failure: Why it was set aside.
+        spent_s: What the step took for this rule alone, by the lane's clock.
         readers: How to read its registers: the type of each; None: a number of rows.
     """
 
@@ -111,6 +116,7 @@ class Member:
     matches: int = 0
     failure: Exception | None = None
     given_up: list[GivenUp] = field(default_factory=list)
+    spent_s: float = 0.0
 
     @property
     def bound(self) -> BoundRule:
@@ -136,8 +142,9 @@ class _Grouped:
 class Lane:
     """Rules that read the same rows. Not for several threads at once."""
 
-    def __init__(self, input_: LaneInput, site: Site, *, is_strict: bool) -> None:
+    def __init__(self, input_: LaneInput, site: Site, clock: Callable[[], float], *, is_strict: bool) -> None:
         self.input = input_
+        self.seconds = clock
         self.is_strict = is_strict
         self.members: list[Member] = []
         self.clock = Clock(input_.lateness_us, input_.idle_us)
@@ -153,7 +160,7 @@ class Lane:
         self.texts = Texts()
         self.keys = Keys(input_.kinds)
         self.places = Places(self.zones, self.lines, site)
-        self.recorder = Recorder(self.layout, self.places, self.texts)
+        self.recorder = Recorder(self.layout, self.places, self.texts, clock)
         self.columns: dict[str, Kind] = {}
         self.tails = Tails(0, {})
         self._shape = Shape(0, 0, 0, 0)
@@ -318,17 +325,35 @@ class Lane:
             newest: For each unit, for each source its newest time.
         """
         self.prepare()
+        outcomes: list[dict[str, Outcome]] = []
         held: list[pa.Table] = []
         late: list[tuple[EventRef, ...]] = []
         reached: list[int | None] = []
+        before_us = self.clock.watermark_us
         parts = [rows for units in arrived for rows in self._rows_of_units(units)]
         for rows, newest_by_source in zip(parts, newest, strict=True):
             late.append(self._judged(rows, held))
             for source, newest_us in newest_by_source:
                 self.clock.observe(source, newest_us)
             reached.append(self.clock.advance())
-        self._hold(held)
-        return self._advanced(late, reached)
+            if self._is_limit_near(before_us, held):
+                # What is given up must not depend on which units came together.
+                self._hold(held)
+                outcomes += self._advanced(late, reached, before_us)
+                held, late, reached, before_us = [], [], [], self.clock.watermark_us
+        if late:
+            self._hold(held)
+            outcomes += self._advanced(late, reached, before_us)
+        return outcomes
+
+    def _is_limit_near(self, before_us: int | None, held: Sequence[pa.Table]) -> bool:
+        """Whether rows that are held, or the time that has come, may lead to something being given up."""
+        limits, watermark_us = self.input.limits, self.clock.watermark_us
+        if watermark_us is None:
+            return False
+        rows = self.rows_waiting + sum(table.num_rows for table in held)
+        is_time = limits.expired_before_us(before_us, watermark_us) is not None
+        return is_time or self.keys.count + rows > limits.partitions
 
     def source_ended(self, source: str) -> dict[str, Outcome]:
         """The source will send no more."""
@@ -356,22 +381,24 @@ class Lane:
         return outcomes
 
     def _advance(self) -> dict[str, Outcome]:
-        (outcomes,) = self._advanced([()], [self.clock.advance()])
+        before_us = self.clock.watermark_us
+        (outcomes,) = self._advanced([()], [self.clock.advance()], before_us)
         return outcomes
 
     def _advanced(
-        self, late: Sequence[tuple[EventRef, ...]], reached: Sequence[int | None]
+        self, late: Sequence[tuple[EventRef, ...]], reached: Sequence[int | None], before_us: int | None
     ) -> list[dict[str, Outcome]]:
-        """What units led to, after which the watermark stood there, and whose late rows these are."""
+        """What units led to, after which the watermark stood there, before it here, and whose late rows these are."""
         watermark_us = reached[-1]
         if watermark_us is None:
             return self._outcomes(late, reached)
         self._run(self._released(watermark_us))
         self._expire(watermark_us, is_end=False)
-        outcomes = self._outcomes(late, reached)
+        found = self._found()
+        self._limit(before_us, watermark_us)
+        outcomes = self._outcomes(late, reached, found)
         for member in self.members:
             member.emitter.forget(watermark_us)
-        self._tidy(watermark_us)
         return outcomes
 
     def _rows_of_units(self, units: Units) -> Sequence[pa.Table | None]:
@@ -449,12 +476,14 @@ class Lane:
         arrived = self.tails.before(rows, grouped.partitions, grouped.bounds, grouped.order, self.streams.names)
         records = self.recorder.records(arrived, self._wanted)
         self._fail_where_unknown()
+        began = self.seconds()
         cursor = np.array([0, -1], dtype=np.int64)
         while k.run(
             self.tables, self.state, self._scratch, records, grouped.order, grouped.partitions, grouped.bounds, cursor,
             self._shape.words,
         ):  # fmt: skip
             self.state = grown(self.state)
+        self._share_out(self.seconds() - began, rows.num_rows)
         self.tails.keep(arrived, grouped.partitions, grouped.bounds, grouped.order)
 
     def _filtered(self, rows: pa.Table) -> pa.Table | None:
@@ -502,6 +531,19 @@ class Lane:
         while k.expire(self.tables, self.state, until_us, is_end, cursor):
             self.state = grown(self.state)
 
+    # Costs.
+
+    def _share_out(self, kernel_s: float, rows: int) -> None:
+        """Says what the step took for each rule: its part of the kernel's time, and of what its conditions took."""
+        work = self._scratch.work + rows  # each rule is asked of each row whether it may begin there
+        for member, part in zip(self.members, (work / work.sum()).tolist(), strict=True):
+            member.spent_s += kernel_s * part
+        self._scratch.work[:] = 0
+        for expr, spent_s in self.recorder.spent_s.items():
+            askers = [member for member in self.members if expr in member.wanted]
+            for member in askers:
+                member.spent_s += spent_s / len(askers)
+
     # Failures.
 
     def _fail_where_unknown(self) -> None:
@@ -525,11 +567,14 @@ class Lane:
     # From what was found to situations.
 
     def _outcomes(
-        self, late: Sequence[tuple[EventRef, ...]], reached: Sequence[int | None]
+        self,
+        late: Sequence[tuple[EventRef, ...]],
+        reached: Sequence[int | None],
+        found: FoundByRule | None = None,
     ) -> list[dict[str, Outcome]]:
-        """What units led to for each rule; see `_advanced`."""
+        """What units led to for each rule, see `_advanced`; what was found is taken from the kernel unless it was."""
         self._note_failures()
-        found = self._found()
+        found = self._found() if found is None else found
         outcomes: list[dict[str, Outcome]] = [{} for _ in late]
         marks = [_BEFORE_ALL_US if each is None else each for each in reached]
         for at, member in enumerate(self.members):
@@ -537,15 +582,21 @@ class Lane:
                 continue
             given_up, member.given_up = tuple(member.given_up), []
             matches: list[list[Match]] = [[] for _ in late]
-            for unit, match in self._emitted(member, found[at], marks) if at in found else ():
-                matches[unit].append(match)
+            began = self.seconds()
+            try:
+                for unit, match in self._emitted(member, found[at], marks) if at in found else ():
+                    matches[unit].append(match)
+            except Exception as error:  # Whatever a rule's situations raise, the other rules of the lane go on.
+                self._fail(at, error)
+                continue
+            member.spent_s += self.seconds() - began
             for unit, outcome in enumerate(outcomes):
                 is_last = unit == len(outcomes) - 1
                 if matches[unit] or late[unit] or (given_up and is_last):
                     outcome[member.name] = Outcome(tuple(matches[unit]), late[unit], given_up if is_last else ())
         return outcomes
 
-    def _found(self) -> dict[int, list[tuple[tuple[Any, ...], Found]]]:
+    def _found(self) -> FoundByRule:
         """By rule what was found."""
         state = self.state
         count = int(state.controls[k.FOUND])
@@ -615,15 +666,21 @@ class Lane:
         self.tails.clear()
         self._place = np.empty(0, dtype=np.int64)
 
-    def _tidy(self, watermark_us: int) -> None:
-        """Forgets partitions that nothing has to be remembered of, when there are many more than before."""
-        if self.keys.count < 2 * self._partitions_least:
+    def _limit(self, before_us: int | None, watermark_us: int) -> None:
+        """Forgets partitions: those that nothing has to be remembered of, and what is too much or too old."""
+        limits, count = self.input.limits, self.keys.count
+        silent_us = None if self.is_strict else limits.expired_before_us(before_us, watermark_us)
+        if silent_us is None and count <= limits.partitions and count < 2 * self._partitions_least:
             return
         kept = np.flatnonzero(self._is_wanted(watermark_us))
-        if len(kept) > self.input.partitions_most:
+        if silent_us is not None:
+            is_silent = self.state.last_rows[kept, k.R_TIME] < silent_us
+            self._give_up(kept[is_silent], f"a partition had no row for {limits.expiry}, which is the limit `expiry`")
+            kept = kept[~is_silent]
+        if len(kept) > limits.partitions:
             kept = self._limited(kept)
         self._keep(kept)
-        self._partitions_least = max(_PARTITIONS_LEAST, min(len(kept), self.input.partitions_most // 2))
+        self._partitions_least = max(_PARTITIONS_LEAST, len(kept))
 
     def _keep(self, kept: Integers) -> None:
         self.keys = self.keys.kept(kept)
@@ -638,7 +695,7 @@ class Lane:
 
     def _limited(self, kept: Integers) -> Integers:
         """Those that stay when the limit `partitions` is reached: where it is strict the rules fail instead."""
-        most = self.input.partitions_most
+        most = self.input.limits.partitions
         why = f"{len(kept)} partitions are remembered; the limit `partitions` is {most}"
         if self.is_strict:
             for at, member in enumerate(self.members):
@@ -648,29 +705,45 @@ class Lane:
             return kept
         by_age = kept[np.argsort(self.state.last_rows[kept, k.R_TIME], kind="stable")]
         gone = by_age[: len(kept) - most // 2]
-        for partition in gone.tolist():
-            self._give_up(partition, why)
+        self._give_up(gone, why)
         return np.sort(by_age[len(gone) :])
 
-    def _give_up(self, partition: int, why: str) -> None:
-        """Forgets a partition, and notes what that cost."""
+    def _give_up(self, gone: Integers, why: str) -> None:
+        """Forgets partitions, and notes what that cost each rule."""
+        if not len(gone):
+            return
+        is_gone = np.zeros(self.keys.count, dtype=np.bool_)
+        is_gone[gone] = True
+        for at, member in enumerate(self.members):
+            lost = np.flatnonzero(self._is_wanted_by(at) & is_gone)
+            if len(lost) and member.failure is None:
+                member.given_up.append(self._cost_of(at, lost, is_gone, why))
+        k.drop_partitions(self.state, gone)
+
+    def _cost_of(self, rule: int, lost: Integers, is_gone: NDArray[np.bool_], why: str) -> GivenUp:
+        """What it costs the rule that these partitions, of which it remembers anything, are forgotten."""
         state = self.state
-        key, cell = None, int(state.first_cells[partition])
-        while cell >= 0:
-            rule, first = int(state.cells[cell, k.C_RULE]), int(state.cells[cell, k.C_FIRST])
-            if first >= 0:
-                key = key or self._partition_of(self.keys.key(partition))
-                since = nearest_time(int(state.attempts[first, k.A_TIME]))
-                cost = GivenUp(key, int(state.cells[cell, k.C_THREADS]), why, since)
-                self.members[rule].given_up.append(cost)
-            cell = int(state.cells[cell, k.C_NEXT])
-        k.drop_partition(state, partition)
+        cells = state.cells[(state.cells[:, k.C_RULE] == rule) & (state.cells[:, k.C_FIRST] >= 0)]
+        cells = cells[is_gone[cells[:, k.C_PARTITION]]]
+        since = state.last_rows[: self.keys.count, k.R_TIME].copy()
+        since[cells[:, k.C_PARTITION]] = state.attempts[cells[:, k.C_FIRST], k.A_TIME]
+        oldest = int(lost[np.argmin(since[lost])])
+        partition = self._partition_of(self.keys.key(oldest))
+        threads = int(cells[:, k.C_THREADS].sum())
+        return GivenUp(partition, threads, why, nearest_time(int(since[oldest])), len(lost))
+
+    def _is_wanted_by(self, rule: int) -> NDArray[np.bool_]:
+        """The partitions of which anything has to be remembered for the rule."""
+        is_wanted = np.zeros(self.keys.count, dtype=np.bool_)
+        watermark_us = self.clock.watermark_us
+        until = int(k.NEVER) * -1 if watermark_us is None else watermark_us
+        k.wanted_by(self.tables, self.state, self.keys.count, until, self._shape.words, rule, is_wanted)
+        return is_wanted
 
     def compile_rest(self) -> None:
         """Runs what is seldom run: forgetting partitions, one by one and all that nothing is remembered of."""
         self._keep(np.flatnonzero(self._is_wanted(0)))
-        for partition in range(self.keys.count):
-            k.drop_partition(self.state, partition)
+        k.drop_partitions(self.state, np.arange(self.keys.count))
         k.drop_rule(self.state, -2)
 
     # How it stands.

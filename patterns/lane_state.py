@@ -9,6 +9,7 @@ A saved rule knows only itself. Rules that were saved at the same place of the s
 
 import json
 import struct
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -81,7 +82,9 @@ def saved_lane(lane: Lane, name: str) -> bytes:
     return _encoded(Saved(header, tables), _waiting_encoded(lane, member))
 
 
-def restored(name: str, packed: Packed, state: bytes, lanes: list[Lane], *, is_strict: bool) -> Lane:
+def restored(
+    name: str, packed: Packed, state: bytes, lanes: list[Lane], clock: Callable[[], float], *, is_strict: bool
+) -> Lane:
     """The lane that goes on from the state: one of these if it stands at the same place, else a new one.
 
     Raises:
@@ -100,7 +103,7 @@ def restored(name: str, packed: Packed, state: bytes, lanes: list[Lane], *, is_s
             lane.admit(name, packed)
             break
     else:
-        lane = Lane(LaneInput.of(packed), site, is_strict=is_strict)
+        lane = Lane(LaneInput.of(packed), site, clock, is_strict=is_strict)
         lane.join(name, packed)
         lane.prepare()
         _begin(lane, saved)

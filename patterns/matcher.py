@@ -49,6 +49,7 @@ class Machine:
         skip: Where the search goes on after a match.
         skip_variables: Indices of the variables that SKIP TO means.
         threads_most: The limit `threads`, for one partition.
+        is_strict: Whether that limit is an error; else what is remembered of the partition is given up.
     """
 
     tables: Tables
@@ -61,6 +62,7 @@ class Machine:
     skip: SkipMode
     skip_variables: tuple[int, ...]
     threads_most: int
+    is_strict: bool = True
 
     @property
     def merges_starts(self) -> bool:
@@ -118,7 +120,7 @@ class Partition:
     Attributes:
         attempts: By start.
         ordinal: The number of its next row.
-        last: The event of its last row, while there are attempts.
+        last: The event of its last row, as far as anything was remembered of it then.
         key: Its partition columns, for virtual rows.
         fired_us: The time of the last virtual row; None: there was none.
     """
@@ -146,19 +148,35 @@ class Found(NamedTuple):
     decided_by: Event | None
 
 
+@dataclass(frozen=True, slots=True)
+class Loss:
+    """Partial matches that were given up.
+
+    Attributes:
+        key: The partition's columns.
+        threads: How many there were.
+        since_us: The time of the first row of the first.
+    """
+
+    key: tuple[Any, ...]
+    threads: int
+    since_us: int
+
+
 class Matcher:
-    """Runs one machine over rows of any partition."""
+    """Runs one machine over rows of any partition. Who drives it takes the `losses`."""
 
     def __init__(self, machine: Machine) -> None:
         self.machine = machine
         self.merges_starts = machine.merges_starts
+        self.losses: list[Loss] = []
 
     def run(self, partition: Partition, block: Block, begin: int, end: int) -> list[Found]:
         """The matches that the rows `begin` to `end` of the block, the partition's next, make final.
 
         Raises:
             SkipError: AFTER MATCH SKIP has no row to go to.
-            LimitError: More threads than the limit.
+            LimitError: More threads than the limit, where that is strict.
         """
         found: list[Found] = []
         attempts = partition.attempts
@@ -180,11 +198,11 @@ class Matcher:
             if next_start < len(block.starts) and block.starts[next_start] == row:
                 self._begin(attempts, event, base + row)
             if attempts:
-                self._step(attempts, block, row, base + row)
+                self._step(partition, block, row, base + row)
                 found += self._resolved(attempts, event[2], event)
             row += 1
         partition.ordinal = base + end
-        partition.last = block.events[end - 1] if attempts else None
+        partition.last = block.events[end - 1]
         return found
 
     def expire(self, partition: Partition, until_us: int) -> list[Found]:
@@ -239,7 +257,7 @@ class Matcher:
         place = machine.tables.starting(is_first=ordinal == 0)
         attempts.append(Attempt(event, ordinal, [(place, machine.registers, None)]))
 
-    def _step(self, attempts: list[Attempt], block: Block, row: int, ordinal: int) -> None:
+    def _step(self, partition: Partition, block: Block, row: int, ordinal: int) -> None:
         """Every thread of every attempt takes the row, or dies.
 
         A thread may stand for an equal one of a later start unless an earlier start may yet settle
@@ -250,7 +268,7 @@ class Matcher:
         seen: dict[Any, float] = {}
         ends: list[int] = []
         threads = 0
-        for attempt in attempts:
+        for attempt in partition.attempts:
             safe_until = math.inf
             if not shares:
                 seen = {}
@@ -262,10 +280,13 @@ class Matcher:
                 self._advance(attempt, block, row, ordinal, seen, safe_until)
                 threads += len(attempt.threads)
         if threads > self.machine.threads_most:
-            raise LimitError(
-                f"a partition has {threads} partial matches; the limit `threads` is {self.machine.threads_most}. "
-                "Begin the pattern with a rarer row, or shorten WITHIN"
-            )
+            if self.machine.is_strict:
+                raise LimitError(
+                    f"a partition has {threads} partial matches; the limit `threads` is {self.machine.threads_most}. "
+                    "Begin the pattern with a rarer row, or shorten WITHIN"
+                )
+            self.losses.append(Loss(partition.key, threads, partition.attempts[0].event[2]))
+            partition.attempts.clear()
 
     def _advance(
         self, attempt: Attempt, block: Block, row: int, ordinal: int, seen: dict[Any, float], safe_until: float
@@ -302,6 +323,8 @@ class Matcher:
     def _resolved(self, attempts: list[Attempt], decided_us: int | None, decided_by: Event | None) -> list[Found]:
         """The matches that nothing earlier or more preferred can still replace; attempts that failed are removed."""
         found: list[Found] = []
+        if not attempts:
+            return found
         first = attempts[0]
         if self.machine.skip is SkipMode.PAST_LAST_ROW and decided_by and first.ending and len(attempts) > 1:
             # The first start's match can only grow: what begins inside it is spare.

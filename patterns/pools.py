@@ -127,6 +127,7 @@ def new_scratch(tables: Tables, shape: Shape) -> Scratch:
         memo=room(1 + 2 * shape.words),
         stack=room(k.STACK + 2),
         stack_nulls=room(k.STACK + 2),
+        work=room(shape.rules),
     )
     scratch.memo[0] = -1
     return scratch

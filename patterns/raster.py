@@ -9,10 +9,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import shapely
-from numba import njit
 from numpy.typing import NDArray
 
 from patterns.geometry import in_polygon
+from patterns.jit import compiled_with_memory
 from patterns.kernel import Integers
 
 CELLS = 128
@@ -89,7 +89,7 @@ def _cells(x: Floats, y: Floats, grid: Grid) -> Integers:
     return cells
 
 
-@njit(cache=True)
+@compiled_with_memory
 def _draw(corners, inside, border, bit):
     """Draws one closed polygon, in units of cells."""
     for at in range(len(corners) - 1):
@@ -99,7 +99,7 @@ def _draw(corners, inside, border, bit):
             inside[cell] |= bit
 
 
-@njit(cache=True)
+@compiled_with_memory
 def _touch(one, other, border, bit):
     """Marks the cells that the edge touches."""
     low, high = min(one[1], other[1]), max(one[1], other[1])
@@ -117,7 +117,7 @@ def _touch(one, other, border, bit):
             border[row * CELLS + column] |= bit
 
 
-@njit(cache=True)
+@compiled_with_memory
 def _is_inside(corners, x, y):
     """Whether a point that is not near the border lies inside: it sees an odd number of edges to its right."""
     is_inside = False
@@ -128,7 +128,7 @@ def _is_inside(corners, x, y):
     return is_inside
 
 
-@njit(cache=True)
+@compiled_with_memory
 def _mark(x, y, is_here, grid, rows, inside, outside, unsure):
     count, words = 0, grid.inside.shape[1]
     for row in range(len(x)):

@@ -5,7 +5,7 @@ zones of a picture at once; those that only the row's stream decides, once for e
 over whole columns. What guards and registers read becomes a word.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -207,8 +207,11 @@ def floats_of(column: Any) -> NDArray[np.float64]:
 class Recorder:
     """Makes the records of rows."""
 
-    def __init__(self, layout: Layout, places: Places, texts: Texts) -> None:
+    def __init__(self, layout: Layout, places: Places, texts: Texts, clock: Callable[[], float]) -> None:
         self.layout = layout
+        self.clock = clock
+        self.spent_s: dict[Expr, float] = {}
+        """What conditions and values took in the last step, by the clock; what all zones share is not in it."""
         self.places = places
         self.texts = texts
         self.failures: dict[Expr, PatternError] = {}
@@ -232,14 +235,16 @@ class Recorder:
         rows[:, k.R_SEQUENCE] = arrived.table.column(SEQUENCE).to_numpy()[fresh:]
         rows[:, k.R_STREAM] = arrived.streams[fresh:]
         rows[:, k.R_NULLS] = 0
-        self.failures = {}
+        self.failures, self.spent_s = {}, {}
         evaluator = RowEvaluator(Rows(arrived.table, np.empty(0, dtype=np.int64)), self.places, arrived=arrived)
         self._write_plain(evaluator, rows, fresh, wanted)
         for picture in layout.pictures:
             self._write_zones(evaluator, picture, rows, fresh)
         for slot, number in layout.slots.items():
             if slot in wanted:
+                began = self.clock()
                 self._write_slot(evaluator, slot, number, rows, fresh)
+                self.spent_s[slot] = self.clock() - began
         return rows
 
     def _write_plain(self, evaluator: RowEvaluator, rows: Integers, fresh: int, wanted: frozenset[Expr]) -> None:
@@ -251,12 +256,14 @@ class Recorder:
                 written.add(word)
             if predicate not in wanted:
                 continue
+            began = self.clock()
             try:
                 truth = evaluator.truth(predicate)[fresh:]
             except PatternError as error:
                 self.failures[predicate] = error
                 continue
             rows[:, column] |= truth.astype(np.int64) << bit
+            self.spent_s[predicate] = self.clock() - began
 
     def _write_zones(self, evaluator: RowEvaluator, picture: _Picture, rows: Integers, fresh: int) -> None:
         try:

@@ -16,7 +16,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
 from functools import partial
-from time import perf_counter
+from time import thread_time
 from typing import TYPE_CHECKING, TypeVar
 
 from events import EventType
@@ -46,7 +46,9 @@ class RuleStatus:
         rows_waiting: Rows that are not final yet.
         partitions_open: Partitions that anything is remembered of.
         held_back: Matches that `once_per` and `cooldown` held back.
-        spent_s: Seconds that the rule has taken, by the clock that the set was given.
+        spent_s: Seconds that the rule has taken, by the clock that the set was given. Of what rules do
+            together, the kernel's time is shared out by the work that it had with each, a condition's
+            among those that ask it, the rest evenly.
     """
 
     counts: Counts
@@ -66,7 +68,7 @@ class RuleSetRun:
     def __init__(
         self,
         bounds: Iterable[BoundRule] = (),
-        clock: Callable[[], float] = perf_counter,
+        clock: Callable[[], float] = thread_time,
         *,
         is_strict: bool = False,
         uses_kernel: bool | None = None,
@@ -75,16 +77,13 @@ class RuleSetRun:
 
         Args:
             bounds: The rules.
-            clock: A clock in seconds, by which the rules' cost is measured.
+            clock: A clock in seconds, by which the rules' cost is measured: by default the processor time of this
+                thread, so that a busy machine makes no rule slow.
             is_strict: Whether a limit that is reached ends a rule, as in batch; else what it costs is
                 forgotten, and said in the outcome.
             uses_kernel: Whether the rules run on the compiled kernel, where it can express them; None:
-                if it is compiled on this machine, see `patterns.compiling`.
+                if it is compiled on this machine when they come, see `patterns.compiling`.
         """
-        if uses_kernel is None:
-            from patterns.compiling import is_compiled
-
-            uses_kernel = is_compiled()
         self._uses_kernel = uses_kernel
         self.failures: dict[str, Exception] = {}
         self._clock = clock
@@ -313,9 +312,11 @@ class RuleSetRun:
             for member in list(lane.members):
                 self._set_aside(member.name, error)
             return nothing
-        share_s = (self._clock() - began) / max(len(lane.members), 1)
+        spent_s = self._clock() - began
+        shared_s = max(spent_s - sum(member.spent_s for member in lane.members), 0.0) / max(len(lane.members), 1)
         for member in list(lane.members):
-            self._spent_s[member.name] += share_s
+            self._spent_s[member.name] += member.spent_s + shared_s
+            member.spent_s = 0.0
             if member.failure is not None:
                 self._set_aside(member.name, member.failure)
         return outcomes
@@ -334,10 +335,18 @@ class RuleSetRun:
         if not lane.members:
             self._lanes.remove(lane)
 
+    @property
+    def _may_use_kernel(self) -> bool:
+        if self._uses_kernel is None:
+            from patterns.compiling import is_compiled
+
+            return is_compiled()
+        return self._uses_kernel
+
     def _packed(self, bound: BoundRule, state: bytes | None) -> "Packed | None":
         """The rule for the kernel; None: it runs alone. A state goes on where it was made."""
         is_of_kernel = state is not None and state.startswith(KERNEL_STATE)
-        if not is_of_kernel and (state is not None or not self._uses_kernel):
+        if not is_of_kernel and (state is not None or not self._may_use_kernel):
             return None
         from patterns.packed import NotPacked, pack
 
@@ -350,7 +359,7 @@ class RuleSetRun:
         from patterns.lane_state import restored
 
         if state is not None:
-            lane = restored(name, packed, state, self._lanes, is_strict=self._is_strict)
+            lane = restored(name, packed, state, self._lanes, self._clock, is_strict=self._is_strict)
             if lane not in self._lanes:
                 self._lanes.append(lane)
         else:
@@ -367,12 +376,12 @@ class RuleSetRun:
         for lane in self._lanes:
             if lane.input == input_ and lane.is_fresh and lane.site == site and lane.has_room(packed):
                 return lane
-        lane = Lane(input_, site, is_strict=self._is_strict)
+        lane = Lane(input_, site, self._clock, is_strict=self._is_strict)
         self._lanes.append(lane)
         return lane
 
     def _add_alone(self, name: str, bound: BoundRule, state: bytes | None) -> None:
-        run = RuleRun(bound)
+        run = RuleRun(bound, is_strict=self._is_strict)
         if state is not None:
             run.restore(state)
         else:

@@ -24,7 +24,7 @@ from patterns.emitter import Emitter
 from patterns.engine import Engine, Key
 from patterns.errors import StateError
 from patterns.inputs import SITUATION, rows_of
-from patterns.matcher import Found
+from patterns.matcher import Found, Loss
 from patterns.rows import (
     SEQUENCE,
     STREAM,
@@ -36,7 +36,7 @@ from patterns.rows import (
 )
 from patterns.saved import Saved, decode, encode, partitions_from_json, partitions_to_json
 from patterns.site import Site
-from patterns.situations import EventRef, Match, Narrator, as_microseconds, event_ref, nearest_time
+from patterns.situations import EventRef, Match, Narrator, as_microseconds, as_python, event_ref, nearest_time
 from patterns.timers import TIMER_STREAM
 from patterns.titles import Scalar
 
@@ -48,19 +48,22 @@ Rows: TypeAlias = pa.Table | pa.RecordBatch
 
 @dataclass(frozen=True, slots=True)
 class GivenUp:
-    """What a limit cost: partial matches of one partition that were forgotten.
+    """What a limit cost: partial matches of a partition, or of several for one reason, that were forgotten.
 
     Attributes:
-        partition: The partition columns and their values.
-        partial_matches: How many partial matches were forgotten; 0: only rows that one could have begun at.
+        partition: The partition columns and their values; of several, those of the oldest.
+        partial_matches: How many partial matches were forgotten; 0: only rows that are looked back at, or that one
+            could have begun at.
         why: The limit that was reached, in words.
         since: The time of the first row of what was forgotten.
+        partitions: How many partitions they were of.
     """
 
     partition: dict[str, Scalar]
     partial_matches: int
     why: str
     since: datetime
+    partitions: int = 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,8 +101,9 @@ def match(bound: BoundRule, rows: Rows) -> list[Match]:
 
     Raises:
         MatchError: The rule cannot go on with these rows.
+        LimitError: It remembers more than it may.
     """
-    run = RuleRun(bound)
+    run = RuleRun(bound, is_strict=True)
     run.hold(rows)
     return list(run.finish().matches)
 
@@ -111,9 +115,18 @@ class RuleRun:
     before, then move it. So what is late depends on the batches and their order alone.
     """
 
-    def __init__(self, bound: BoundRule) -> None:
+    def __init__(self, bound: BoundRule, *, is_strict: bool = False) -> None:
+        """A run that has seen nothing.
+
+        Args:
+            bound: The rule.
+            is_strict: Whether a limit that is reached is an error, as in batch; else what it costs is
+                forgotten, and said in the outcome.
+        """
         rule = bound.rule
         self.bound = bound
+        self.is_strict = is_strict
+        self._given_up: list[GivenUp] = []
         self.counts = Counts()
         self._site = bound.site.copy()
         idle = rule.time.idle
@@ -191,7 +204,7 @@ class RuleRun:
             return Outcome()
         late = self._take(table)
         self._observe(table)
-        return Outcome(self._advance(), late)
+        return self._outcome(self._advance(), late)
 
     def source_ended(self, source: str) -> Outcome:
         """The source will send no more, so it holds nothing up; when all have ended, the input has.
@@ -203,7 +216,7 @@ class RuleRun:
             self._clock.end_unheard(source)
         elif self._clock.end(source):
             return self.finish()
-        return Outcome(self._advance())
+        return self._outcome(self._advance())
 
     def settle(self) -> Outcome:
         """All that was said so far has come. A rule that reads situations is finished where all sources have ended."""
@@ -214,7 +227,7 @@ class RuleRun:
     def advance_idle(self, now: datetime) -> Outcome:
         """Looks, by the clock on the wall, for sources that have been silent for the idle time."""
         self._clock.look_for_idle(wall_us(now))
-        return Outcome(self._advance())
+        return self._outcome(self._advance())
 
     def finish(self) -> Outcome:
         """The input has ended: everything is decided. What is pushed after this begins anew."""
@@ -223,7 +236,8 @@ class RuleRun:
         matches = self._emitted(found)
         self._clock.reset()
         self._emitter.reset()
-        return Outcome(matches)
+        self._note_threads()
+        return self._outcome(matches)
 
     def hold(self, rows: Rows) -> None:
         """Takes rows that are neither late nor released before `finish`.
@@ -277,7 +291,7 @@ class RuleRun:
     # From arrival to release.
 
     def _attach(self) -> None:
-        self._engine = Engine(self.bound, self._site)
+        self._engine = Engine(self.bound, self._site, is_strict=self.is_strict)
         self._narrator = Narrator(self.bound, self._engine.places, self._streams.names)
 
     def _observe(self, table: pa.Table) -> None:
@@ -314,14 +328,49 @@ class RuleRun:
 
     def _advance(self) -> tuple[Match, ...]:
         """The matches that the watermark, where it stands now, makes final."""
-        watermark_us = self._clock.advance()
+        before_us, watermark_us = self._clock.watermark_us, self._clock.advance()
         if watermark_us is None:
             return ()
         found = self._engine.take(self._released(watermark_us))
         found += self._engine.expire(watermark_us)
         matches = self._emitted(found)
         self._emitter.forget(watermark_us)
+        self._limit(before_us, watermark_us)
         return matches
+
+    # What limits cost.
+
+    def _outcome(self, matches: tuple[Match, ...], late: tuple[EventRef, ...] = ()) -> Outcome:
+        given_up, self._given_up = tuple(self._given_up), []
+        return Outcome(matches, late, given_up)
+
+    def _limit(self, before_us: int | None, watermark_us: int) -> None:
+        """Forgets what is too much or too old, now that the watermark has moved."""
+        self._note_threads()
+        if self.is_strict:
+            return
+        limits = self.bound.limits
+        silent_us = limits.expired_before_us(before_us, watermark_us)
+        if silent_us is not None:
+            losses = self._engine.give_up_silent(silent_us)
+            self._note(f"a partition had no row for {limits.expiry}, which is the limit `expiry`", losses)
+        self._note(*self._engine.limit_partitions())
+
+    def _note_threads(self) -> None:
+        for loss in self._engine.losses():
+            most = self.bound.limits.threads
+            self._note(f"a partition has {loss.threads} partial matches; the limit `threads` is {most}", [loss])
+
+    def _note(self, why: str, losses: Sequence[Loss]) -> None:
+        if losses:
+            oldest = min(losses, key=lambda loss: loss.since_us)
+            kinds = (self.bound.columns[name] for name in self.bound.keys)
+            partition = {
+                name: as_python(value, kind)
+                for name, value, kind in zip(self.bound.keys, oldest.key, kinds, strict=True)
+            }
+            total = sum(loss.threads for loss in losses)
+            self._given_up.append(GivenUp(partition, total, why, nearest_time(oldest.since_us), len(losses)))
 
     def _released(self, before_us: int | None) -> pa.Table:
         """The rows that are final, in the total order; they wait no longer."""

@@ -106,7 +106,7 @@ class TimedMatcher(Matcher):
         bits, values = self.timers.row(partition.key, time_us)
         event: Event = (TIMER_STREAM, 0, time_us)
         row = _VirtualRow([bits | IS_VIRTUAL], [event], [values], [])
-        self._step(partition.attempts, row, 0, partition.ordinal - 1)
+        self._step(partition, row, 0, partition.ordinal - 1)
         return self._resolved(partition.attempts, time_us, event)
 
     def _advance(

@@ -9,6 +9,7 @@ from typing import Literal
 from patterns.binder import bind
 from patterns.errors import RuleError
 from patterns.expanding import expand
+from patterns.limits import Limits
 from patterns.loading import load_rule, load_rules, rule_files, yaml_files
 from patterns.parser import parse
 from patterns.processor import OpenMatches, ProcessorLimits, deploy, schemas
@@ -131,4 +132,9 @@ def limits_of(settings: Settings) -> ProcessorLimits:
         event_us=settings.rules_event_us or None,
         slow_windows=settings.rules_slow_windows,
         finish=timedelta(hours=settings.rules_finish_h),
+        rules=Limits(
+            threads=settings.rules_partial_matches_max,
+            partitions=settings.rules_partitions_max,
+            expiry=timedelta(hours=settings.rules_expiry_h) if settings.rules_expiry_h else None,
+        ),
     )

@@ -72,6 +72,12 @@ class Settings(BaseSettings):
     """windows of 1,000 events in a row that a rule may be over that limit"""
     rules_finish_h: Annotated[float, Field(ge=0)] = 24.0
     """how long a retired rule without WITHIN may finish what it has begun, in hours of event time"""
+    rules_partial_matches_max: Annotated[int, Field(ge=1)] = 10_000
+    """partial matches of a rule in one partition; more are given up, which `rule_missed` says"""
+    rules_partitions_max: Annotated[int, Field(ge=1)] = 1_000_000
+    """partitions that rules remember; of more, half are given up, those that were silent longest"""
+    rules_expiry_h: Annotated[float, Field(ge=0)] = 0.0
+    """hours of event time without a row after which a partition is given up, which `rule_missed` says; 0: never"""
     host: str = "127.0.0.1"
     """address that `vian serve` listens on"""
     port: Annotated[int, Field(ge=0, le=65535)] = 8470

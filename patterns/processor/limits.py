@@ -1,7 +1,9 @@
 """What the processor may use, how often it saves, and what it takes for a rule or a clock gone wrong."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import timedelta
+
+from patterns.limits import Limits
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,6 +20,7 @@ class ProcessorLimits:
         event_us: What a rule may take for one event, in microseconds, over a window of events; None: no limit.
         window_events: Events that a window has at least.
         slow_windows: Windows in a row over the limit after which a rule is set aside.
+        rules: What each rule may use.
         finish: How long, in event time, a retired version without WITHIN may still finish what it began.
     """
 
@@ -29,4 +32,5 @@ class ProcessorLimits:
     event_us: float | None = 1_000.0
     window_events: int = 1_000
     slow_windows: int = 10
+    rules: Limits = field(default_factory=Limits)
     finish: timedelta = timedelta(days=1)

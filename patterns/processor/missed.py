@@ -60,12 +60,8 @@ class Missed:
     def given_up(self, forgotten: Iterable[GivenUp]) -> None:
         """Partial matches that a limit cost."""
         for each in forgotten:
-            partition = json_of(each.partition)
-            self._add(
-                "partial_matches",
-                "",
-                _Sum(max(each.partial_matches, 1), None, None, each.since, each.since, partition, each.why),
-            )
+            partition, count = json_of(each.partition), max(each.partial_matches, each.partitions)
+            self._add("partial_matches", "", _Sum(count, None, None, each.since, each.since, partition, each.why))
 
     def drafts(self, station: str, at: datetime) -> list[Draft]:
         """The sums as events."""

@@ -108,7 +108,7 @@ class Processor:
         self._one_by_one_to = 0
         self._recorded_at = datetime(1970, 1, 1, tzinfo=UTC)
         for rule in rules or ():
-            bind(rule, self._readable_by(rule))  # a given rule that does not fit is told at once
+            bind(rule, self._readable_by(rule), limits=self._limits.rules)  # what does not fit is told at once
         self._committer = Committer(log, station, self._at, is_recording_ends=rules is None)
         self._subscription = Subscription(log, "rules", limit=self._limits.segments)
         self._begin()
@@ -208,7 +208,7 @@ class Processor:
         assert self._given is not None, "what is deployed runs, not what is given"
         wanted = {(each.rule, each.version): each for each in rules}
         for rule in rules:
-            bind(rule, with_situations(self._schemas, rules))
+            bind(rule, with_situations(self._schemas, rules), limits=self._limits.rules)
         at = self._main.position
         gone = Retirement(at, "told", open_matches, "it was taken from the rules")
         for member in self._members():
@@ -289,7 +289,8 @@ class Processor:
 
     def _member(self, service: Service) -> Member:
         rule = self._rule(service)
-        return Member(service, bind(rule, self._readable_by(rule)), Mark(service.after, service.life))
+        bound = bind(rule, self._readable_by(rule), limits=self._limits.rules)
+        return Member(service, bound, Mark(service.after, service.life))
 
     def _readable_by(self, rule: Rule) -> Mapping[str, pa.Schema]:
         """What the rule may be written over.

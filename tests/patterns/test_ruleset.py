@@ -7,6 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from patterns import BoundRule, Match, Outcome, PatternError, RuleRun, RuleSetRun, SkipError, bind
+from patterns.compiling import compile_kernel
 from patterns.ruleset import Outcomes, merged
 from tests.patterns.samples import SCHEMAS, define_letters, letter_rows, letter_rule, letters
 from tests.patterns.test_online import RULES, Record, pieces, records
@@ -123,3 +124,22 @@ def test_status_says_how_a_rule_stands() -> None:
     assert (status.counts.rows, status.rows_waiting, status.partitions_open) == (2, 2, 0)
     assert status.watermark is not None
     assert status.spent_s > 0
+
+
+def test_the_cost_of_rules_that_run_together_is_theirs_who_cause_it() -> None:
+    compile_kernel()
+    slow = letter_rule(
+        "A X* B", "A AS letter = 'a', X AS n >= A.n, B AS letter = 'b'", within="INTERVAL '1' HOUR", skip="TO NEXT ROW"
+    )
+    cheap = letter_rule("A B", "A AS letter = 'b', B AS letter = 'c'")
+    bounds = [bind(cheap.model_copy(update={"rule": f"cheap-{at}"}), SCHEMAS) for at in range(4)]
+    group = RuleSetRun([bind(slow, SCHEMAS), *bounds], uses_kernel=True)
+    group.push(letters("ccc"))
+    before_s = {name: group.status(name).spent_s for name in group.rules}  # to load the kernel is no rule's cost
+    group.push(letter_rows([{"us": 3_600_000_000 + at, "letter": "a", "n": 0} for at in range(3000)]))
+    group.push(letter_rows([{"us": 7_000_000_000, "letter": "c"}]))
+    spent_s = {name: group.status(name).spent_s - before_s[name] for name in group.rules}
+    others = [value for name, value in spent_s.items() if name != "sample"]
+    # A thousand partial matches a row against none: the slow one is named whatever the machine is doing.
+    assert spent_s["sample"] > 10 * max(others) > 0
+    assert max(others) < 3 * min(others)

@@ -12,6 +12,7 @@ from events import StreamName, batch_of, encode
 from patterns import parse_rule
 from patterns.errors import MatchError, PatternError
 from patterns.expanding import expand
+from patterns.limits import Limits
 from patterns.processor import (
     Processor,
     ProcessorLimits,
@@ -23,7 +24,7 @@ from patterns.processor import (
     stored_state,
 )
 from patterns.ruleset import RuleSetRun
-from patterns.running import RuleRun
+from patterns.situations import Narrator
 from store import Checkpoint, Log, LogUnavailable, Transaction
 from tests.conftest import MakeLog
 from tests.patterns.walkers import (
@@ -199,22 +200,21 @@ def test_a_rule_that_raises_anything_is_retired_with_its_position_and_comes_back
 ) -> None:
     walkers(log)
     deployed(log, rule("breaks"), rule())
-    original = RuleRun.push
+    original = Narrator.match
 
-    def breaks(self: RuleRun, rows: Any) -> Any:
-        if self.bound.rule.rule == "breaks" and self.counts.rows > 5:
+    def breaks(self: Narrator, key: Any, found: Any) -> Any:
+        if self.rule.rule == "breaks":
             raise ZeroDivisionError("by zero")
-        return original(self, rows)
+        return original(self, key, found)
 
     with monkeypatch.context() as broken:
-        broken.setattr("patterns.compiling.is_compiled", lambda: False)  # it is a RuleRun that shall break
-        broken.setattr(RuleRun, "push", breaks)
+        broken.setattr(Narrator, "match", breaks)
         processor = Processor(log, STATION)
         processor.catch_up()
     assert len(situations(log)) >= 8
     (gone,) = said(log, "rule_retired")
     assert (gone.rule, gone.why, gone.open_matches) == ("breaks", "failed", "dropped")
-    assert gone.reason == "at position 4: ZeroDivisionError: by zero"
+    assert gone.reason == "at position 6: ZeroDivisionError: by zero"
     deployed(log, rule("breaks"), after=0)
     processor.catch_up()
     assert sorted(each.rule for each in situations(log)) == ["breaks"] * 8 + ["enters"] * 8
@@ -432,3 +432,23 @@ def test_a_failure_of_a_rule_in_a_match_is_a_match_error(log: Log) -> None:
     processor.catch_up()
     assert isinstance(processor.failures["failing"], MatchError)
     assert [each.why for each in said(log, "rule_retired")] == ["failed"]
+
+
+def test_what_a_limit_costs_is_an_event_and_the_rule_goes_on(log: Log) -> None:
+    add_video(log, "gate")
+    deployed(log, rule())
+    limits = ProcessorLimits(rules=Limits(partitions=4))
+    processor = Processor(log, STATION, limits=limits)
+    say(log, "gate", *[point(track, track / 10, 20) for track in range(1, 10)])
+    say(log, "gate", *[point(track, 60 + track / 10, 80) for track in range(1, 10)])
+    processor.catch_up()
+    say(log, "gate", point(1, 90, 20), point(1, 91, 80))
+    end(log, "gate")
+    processor.catch_up()
+
+    missed = said(log, "rule_missed")
+    assert {(each.rule, each.what) for each in missed} == {("enters", "partial_matches")}
+    assert sum(each.count for each in missed) >= 5
+    assert "the limit `partitions` is 4" in missed[0].reason
+    assert found(log)[-1] == ("enters", 1, 90.0)
+    assert not processor.failures

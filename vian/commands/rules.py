@@ -9,6 +9,7 @@ import typer
 
 from events import load_catalogue
 from patterns.cases import TestResult, run_tests
+from patterns.compiling import compiling_beside
 from patterns.errors import RuleError
 from patterns.findings import Finding, finding_of
 from patterns.lint import check
@@ -115,7 +116,7 @@ def run(
     settings = settings_for(data_dir, dsn, station=station)
     output = Output(is_json=as_json)
     rules = load_all(paths)
-    with opened(settings, data_dir=data_dir, is_made=True) as log:
+    with compiling_beside(), opened(settings, data_dir=data_dir, is_made=True) as log:
         check_fit(log, rules)
         for remark in misplaced(log, rules):
             output.note(f"warning: {remark}")

@@ -102,7 +102,7 @@ def _span(since: str | None, until: str | None, sources: list[str] | None) -> Sp
 
 def _ran(log: Log, rule: Rule, span: Span, limits: ProcessorLimits, output: Output) -> Backtested:
     """What came of the rule, with remarks on what else is worth knowing on standard error."""
-    bound = bind(rule, readable_by(log, rule))
+    bound = bind(rule, readable_by(log, rule), limits=limits.rules)
     for remark in misplaced(log, [rule]):
         output.note(f"warning: {remark}")
     with output.progress(_label(rule), float(log.head())) as bar:

@@ -14,7 +14,7 @@ from typing import Annotated
 
 import typer
 
-from patterns.compiling import start_compiling
+from patterns.compiling import compiling_beside
 from store import Log, Projector
 from vian import logs, options
 from vian.api import bind, create_app, serving
@@ -99,10 +99,8 @@ def _parts(stack: ExitStack, log: Log, settings: Settings, role: Role) -> list[P
     ]
     if has_key(settings):
         parts.append(signing_part(log, settings))
-    if settings.rules is not None:
-        compiling = start_compiling()  # until it is done, rules run on the general matcher
-        stack.callback(lambda: compiling.terminate() if compiling is not None else None)
     if settings.rules is not None or role is Role.STATION:
+        stack.enter_context(compiling_beside())  # until it is done, rules run on the general matcher
         limits = limits_of(settings)
         stages = [] if settings.rules is None else stages_of([settings.rules])
         if stages:

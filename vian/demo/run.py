@@ -17,6 +17,7 @@ from time import monotonic
 import httpx
 import pyarrow as pa
 
+from patterns.compiling import compiling_beside
 from patterns.processor import Processor, deploy
 from patterns.rule import Rule
 from store import Log, Projector, Verification, verify
@@ -141,6 +142,7 @@ def _run_together(
             transport=_Loopback(httpx.URL(address)),
         )
     )
+    stack.enter_context(compiling_beside())
     processor = Processor(station, STATION, rules)
     projectors = [Projector(station), Projector(central)]
     parts = [
