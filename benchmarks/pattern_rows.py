@@ -80,13 +80,18 @@ match: |
 """Rule files by what they find."""
 
 
-def zone_rules(count: int) -> list[str]:
-    """So many rules of the first kind, each with a zone of its own."""
+def zone_rules(count: int, sides_px: tuple[float, float] = (60.0, 180.0)) -> list[str]:
+    """So many rules of the first kind, each with a zone of its own.
+
+    Args:
+        count: How many.
+        sides_px: The least and the greatest length of a zone's sides, px; the larger, the more tracks stay in it.
+    """
     rng = np.random.default_rng(7)
     texts = []
     for number in range(count):
-        x, y = rng.uniform(50, 800, 2)
-        width, height = rng.uniform(60, 180, 2)
+        x, y = rng.uniform(50, 980 - sides_px[1], 2)
+        width, height = rng.uniform(*sides_px, 2)
         corners = [[x, y], [x + width, y + height / 4], [x + width * 0.8, y + height], [x + width / 5, y + height]]
         polygon = str([[round(float(value), 1) for value in corner] for corner in corners])
         texts.append(_ZONE_INTRUSION.replace("NAME", f"yard-{number:03}").replace("POLYGON", polygon))

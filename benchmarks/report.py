@@ -32,6 +32,8 @@ def page() -> str:
         if (RESULTS / "flink.json").exists():
             sections += beside_flink(_loaded("patterns"), _loaded("flink"))
         sections += of_rules(_loaded("patterns"))
+    if all((RESULTS / f"{name}.json").exists() for name in ("patterns_log", "flink")):
+        sections += over_the_log(_loaded("patterns_log"), _loaded("flink"))
     return "\n".join([_HEAD, *sections])
 
 
@@ -144,6 +146,44 @@ def _single(said: dict[str, Any]) -> Iterator[tuple[str, float, str, dict[str, A
     yield "compiling the kernel, once", costs["compiling_cpu_s"], " s", _wanted(None)
     yield "reload of one rule among 100", costs["reload_ms"], " ms", _wanted(50, at_least=False)
     yield "a step of 2,500 rows, 20 rules", costs["step_ms"], " ms", _wanted(None)
+
+
+def over_the_log(said: dict[str, Any], flink: dict[str, Any]) -> Iterator[str]:
+    """The section on rules from the log to the situations in it."""
+    yield (
+        f"## Rules over the log\n\n`python -m benchmarks.patterns_log`, {_when(said)}; events per CPU-second of the "
+        "process, from stored segments to committed situations. Flink as above, in process.\n"
+    )
+    yield "| rule | keys | situations | ours | events a second | Flink | ratio | target |"
+    yield "|---|---:|---:|---:|---:|---:|---:|---|"
+    theirs = {(row["what"], row["keys"]): row["events_per_cpu_s"] for row in flink["flink"]}
+    for row in said["catch_up"]:
+        reference = theirs.get((row["rule"], row["keys"]))
+        if reference is not None:
+            ratio = row["events_per_cpu_s"] / reference
+            shown = f"{row['events_per_cpu_s']:,.0f} | {row['events_per_wall_s']:,.0f} | {reference:,.0f} | {ratio:.0f}"
+            target = _target({"ratio": ratio, **_wanted(25.0)})
+            yield f"| {row['rule']} | {row['keys']:,} | {row['situations']:,} | {shown} | {target} |"
+    yield "\n| what | reached | target |\n|---|---:|---|"
+    for what, reached, unit, row in _live(said):
+        yield f"| {what} | {reached:,.{_digits(reached)}f}{unit} | {_target({'ratio': reached, **row})} |"
+    online = said["online"]
+    yield (
+        f"\nOnline: {online['events_per_s']:,} events a second, {online['rules']} rules, {online['situations']:,} "
+        f"situations in {online['seconds']:.0f} s.\n"
+    )
+
+
+def _live(said: dict[str, Any]) -> Iterator[tuple[str, float, str, dict[str, Any]]]:
+    """What was reached while events came, in which unit, and what was wanted."""
+    online, hour = said["online"], said["memory"]
+    what = "from the commit that lifts the watermark to the committed situation"
+    yield f"{what}, p50", online["latency_p50_ms"], " ms", _wanted(None)
+    yield f"{what}, p99", online["latency_p99_ms"], " ms", _wanted(150, at_least=False)
+    yield "of a core, meanwhile", online["cores"], "", _wanted(1, at_least=False)
+    what = f"memory after {hour['seconds'] / 60:.0f} minutes of event time, of that after a quarter of them"
+    yield what, hour["quarters_mb"][-1] / hour["quarters_mb"][0], " times", _wanted(1.1, at_least=False)
+    yield "one rule among 100 replaced, through the log", said["reload_ms"], " ms", _wanted(50, at_least=False)
 
 
 def _wanted(target: float | None, *, at_least: bool = True) -> dict[str, Any]:

@@ -252,11 +252,12 @@ def _readable(arm: Arm, schemas: Mapping[str, pa.Schema], own: str, passage: Pas
         raise passage.error(f"FROM: a rule cannot feed on its own situations: {own} reads {own}", arm.source_type.at)
     if name not in schemas:
         is_type = arm.situation_of is None
-        have = ", ".join(sorted(each for each in schemas if each.startswith("situation(") is not is_type)) or "none"
+        known = sorted(each for each in schemas if each.startswith("situation(") is not is_type)
         what = (
             f"unknown event type {name!r}" if is_type else f"no rule {arm.situation_of!r} whose situations can be read"
         )
-        raise passage.error(f"FROM: {what}; there are: {have}{did_you_mean(name, schemas)}", arm.source_type.at)
+        have = ", ".join(known) or "none"
+        raise passage.error(f"FROM: {what}; there are: {have}{did_you_mean(name, known)}", arm.source_type.at)
     readable, unreadable = dict(ENVELOPE), {}
     for column in schemas[name]:
         kind = kind_of(column.type)

@@ -1,17 +1,16 @@
 """Numbers for what is not a number: partition keys, and texts that a match remembers."""
 
-import struct
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
+from numpy.typing import NDArray
 
 from patterns.expressions import Kind
 from patterns.kernel import Integers, intern
 
-_WORD, _FLOAT = struct.Struct("<q"), struct.Struct("<d")
 _NOT_A_NUMBER = np.array([np.nan]).view(np.int64)[0]
 
 
@@ -60,14 +59,18 @@ def as_words(column: Any, kind: Kind, texts: Texts) -> Integers:
     return words
 
 
-def as_value(word: int, kind: Kind, texts: Texts) -> Any:
-    """The value that stands in a word, which is not NULL."""
+def as_values(words: Integers, is_null: NDArray[np.bool_], kind: Kind, texts: Texts) -> list[Any]:
+    """The values that stand in words; None where NULL."""
     if kind is Kind.STRING:
-        return texts.known[word]
-    if kind is Kind.FLOAT:
-        value: float = _FLOAT.unpack(_WORD.pack(word))[0]
-        return value
-    return bool(word) if kind is Kind.BOOL else word
+        known = texts.known
+        return [None if null else known[word] for word, null in zip(words.tolist(), is_null.tolist(), strict=True)]
+    words = np.ascontiguousarray(words)
+    values: list[Any] = (
+        words.view(np.float64) if kind is Kind.FLOAT else words != 0 if kind is Kind.BOOL else words
+    ).tolist()
+    if is_null.any():
+        values = [None if null else value for value, null in zip(values, is_null.tolist(), strict=True)]
+    return values
 
 
 class Keys:
@@ -103,11 +106,15 @@ class Keys:
 
     def key(self, number: int) -> tuple[Any, ...]:
         """The partition columns of a partition."""
-        *words, nulls = self.table[number].tolist()
-        return tuple(
-            None if nulls >> at & 1 else as_value(word, kind, self.texts)
-            for at, (word, kind) in enumerate(zip(words, self.kinds, strict=True))
-        )
+        return self.keys(np.array([number]))[0]
+
+    def keys(self, numbers: Integers) -> list[tuple[Any, ...]]:
+        """The partition columns of partitions."""
+        words = self.table[numbers]
+        columns = [
+            as_values(words[:, at], words[:, -1] >> at & 1 != 0, kind, self.texts) for at, kind in enumerate(self.kinds)
+        ]
+        return list(zip(*columns, strict=True)) if columns else [()] * len(numbers)
 
     def kept(self, numbers: Integers) -> "Keys":
         """Keys that know only these partitions, numbered in this order."""

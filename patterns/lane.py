@@ -24,7 +24,7 @@ from patterns.emitter import Emitter
 from patterns.errors import CalibrationUnknown, FrameSizeUnknown, LimitError, MatchError, PatternError, SkipError
 from patterns.expressions import Column, Expr, Kind, Shift, column_names, walk
 from patterns.inputs import Input, rows_of
-from patterns.interning import Keys, Texts, as_value
+from patterns.interning import Keys, Texts, as_values
 from patterns.kernel import Integers
 from patterns.matcher import Ending, Event, Found, Trace
 from patterns.packed import Assembly, Packed
@@ -145,6 +145,8 @@ class Lane:
         self.counts = Counts()
         self.site = site
         self.waiting: list[pa.Table] = []
+        self.waiting_saved: tuple[list[pa.Table], list[str], bytes] = ([], [], b"")
+        """The rows that waited when a rule was saved last, the columns, and how they were encoded."""
         self.layout = Layout()
         self.zones: dict[str, Any] = {}
         self.lines: dict[str, Any] = {}
@@ -554,34 +556,31 @@ class Lane:
         if total > len(runs):
             runs = np.empty((total, 6), dtype=np.int64)
             k.runs_of(state, count, runs, ends)
-        threads = state.found[:count, k.F_THREAD]
-        rows = zip(
-            state.found[:count].tolist(), state.registers[threads].tolist(), state.threads[threads, k.T_NULLS].tolist(),
-            [0, *ends[:-1].tolist()], ends.tolist(), strict=True,
-        )  # fmt: skip
-        listed = runs[:total].tolist()
-        found: dict[int, list[tuple[tuple[Any, ...], Found]]] = {}
-        keys: dict[int, tuple[Any, ...]] = {}
-        for record, words, nulls, begin, end in rows:
-            partition = record[k.F_PARTITION]
-            key = keys.get(partition)
-            if key is None:
-                key = keys[partition] = self.keys.key(partition)
-            member = self.members[record[k.F_RULE]]
-            if record[k.F_HOW] == k.GIVEN_UP:
-                self._note_given_up(member, key, record[k.F_END_ORDINAL], record[k.F_TIME])
-                continue
-            registers = self._registers(member, words, nulls)
-            each = _found_of(record, registers, listed[begin:end])
-            found.setdefault(record[k.F_RULE], []).append((key, each))
+        records, threads = state.found[:count].copy(), state.found[:count, k.F_THREAD]
+        words, nulls = state.registers[threads], state.threads[threads, k.T_NULLS]
         k.clear_found(state)
+        keys, listed, ends_of = self.keys.keys(records[:, k.F_PARTITION]), runs[:total].tolist(), [*ends.tolist(), 0]
+        is_match = records[:, k.F_HOW] != k.GIVEN_UP
+        for at in np.flatnonzero(~is_match).tolist():
+            member, record = self.members[records[at, k.F_RULE]], records[at].tolist()
+            self._note_given_up(member, keys[at], record[k.F_END_ORDINAL], record[k.F_TIME])
+        found: dict[int, list[tuple[tuple[Any, ...], Found]]] = {}
+        for rule in np.unique(records[is_match, k.F_RULE]).tolist():
+            own = np.flatnonzero(is_match & (records[:, k.F_RULE] == rule))
+            registers = self._registers(self.members[rule], words[own], nulls[own])
+            found[rule] = [
+                (keys[at], _found_of(record, remembered, listed[ends_of[at - 1] : ends_of[at]]))
+                for at, record, remembered in zip(own.tolist(), records[own].tolist(), registers, strict=True)
+            ]
         return found
 
-    def _registers(self, member: Member, words: list[int], nulls: int) -> tuple[Any, ...]:
-        return tuple(
-            word if kind is None else None if nulls >> at & 1 else as_value(word, kind, self.texts)
-            for at, (word, kind) in enumerate(zip(words, member.readers, strict=False))
-        )
+    def _registers(self, member: Member, words: Integers, nulls: Integers) -> list[tuple[Any, ...]]:
+        """What matches of the rule remember."""
+        columns = [
+            words[:, at].tolist() if kind is None else as_values(words[:, at], nulls >> at & 1 != 0, kind, self.texts)
+            for at, kind in enumerate(member.readers)
+        ]
+        return list(zip(*columns, strict=True)) if columns else [()] * len(words)
 
     def _note_given_up(self, member: Member, key: tuple[Any, ...], threads: int, since_us: int) -> None:
         partition = self._partition_of(key)
@@ -733,13 +732,14 @@ def _found_of(record: list[int], registers: tuple[Any, ...], runs: list[list[int
     for variable, stream, first, last, ordinal, rows in runs:
         trace = (trace, variable, stream, first, last, ordinal, rows)
     assert trace is not None, "a match has rows"
-    end = (record[k.F_END_STREAM], record[k.F_END_SEQUENCE], record[k.F_END_TIME])
-    ending = Ending(registers, trace, end, record[k.F_END_ORDINAL])
-    first_event: Event = (record[k.F_STREAM], record[k.F_SEQUENCE], record[k.F_TIME])
-    how, decided_us = record[k.F_HOW], record[k.F_DECIDED_TIME]
+    # In the order of `kernel.F_RULE` and so on.
+    _, _, stream, sequence, time, _, end_stream, end_sequence, end_time, end_ordinal, how, *decided = record
+    ending = Ending(registers, trace, (end_stream, end_sequence, end_time), end_ordinal)
+    first_event: Event = (stream, sequence, time)
     if how == k.BY_END:
         return Found(first_event, ending, None, None)
-    decided_by = (record[k.F_DECIDED_STREAM], record[k.F_DECIDED_SEQUENCE], decided_us) if how == k.BY_ROW else None
+    decided_us, decided_stream, decided_sequence = decided
+    decided_by = (decided_stream, decided_sequence, decided_us) if how == k.BY_ROW else None
     return Found(first_event, ending, decided_us, decided_by)
 
 

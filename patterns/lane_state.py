@@ -77,9 +77,8 @@ def saved_lane(lane: Lane, name: str) -> bytes:
         "last_rows": _table(last_rows),
         "last_ordinals": _table(lane.state.last_ordinals[partitions][:, None]),
         "tails": lane.tails.table(partitions, _own_columns(member)),
-        "waiting": _waiting(lane, member),
     }
-    return _encoded(Saved(header, tables))
+    return _encoded(Saved(header, tables), _waiting_encoded(lane, member))
 
 
 def restored(name: str, packed: Packed, state: bytes, lanes: list[Lane], *, is_strict: bool) -> Lane:
@@ -210,11 +209,21 @@ def _own_columns(member: Member) -> list[str]:
     return sorted(member.bound.columns)
 
 
-def _waiting(lane: Lane, member: Member) -> pa.Table:
-    """The rows that wait, in the total order, with the columns that the rule reads."""
+def _waiting_encoded(lane: Lane, member: Member) -> bytes:
+    """The rows that wait, encoded: once for all rules that read the same columns and are saved at once."""
+    names = [STREAM, TIME, SEQUENCE, *(name for name in lane.columns if name in member.bound.columns)]
+    tables, known, encoded = lane.waiting_saved
+    is_known = known == names and len(tables) == len(lane.waiting)
+    if not is_known or any(each is not other for each, other in zip(tables, lane.waiting, strict=True)):
+        encoded = _stream(_waiting(lane, names))
+        lane.waiting_saved = list(lane.waiting), names, encoded
+    return encoded
+
+
+def _waiting(lane: Lane, names: list[str]) -> pa.Table:
+    """The rows that wait, in the total order, with these columns."""
     if not lane.waiting:
         return pa.table({})
-    names = [STREAM, TIME, SEQUENCE, *(name for name in lane.columns if name in member.bound.columns)]
     rows = pa.concat_tables([table.select(names) for table in lane.waiting]).combine_chunks()
     rank = lane.streams.ranks()[rows.column(STREAM).to_numpy()]
     return rows.take(pa.array(np.lexsort((rows.column(SEQUENCE).to_numpy(), rank, rows.column(TIME).to_numpy()))))
@@ -267,9 +276,12 @@ def _insert(lane: Lane, at: int, saved: Saved) -> None:
     member.emitter.restore(header["emitter"])
     member.matches = header["counts"][2]
     waiting = saved.tables["waiting"]
-    for name in lane.columns:
-        if waiting.num_rows and name in waiting.column_names and name not in lane.waiting[0].column_names:
-            lane.waiting = [lane.waiting[0].append_column(name, waiting.column(name))]
+    if waiting.num_rows:
+        (rows,) = lane.waiting
+        # As rows come, so that those that waited stand beside those that come.
+        names = [STREAM, TIME, SEQUENCE, *(n for n in lane.columns if n in {*rows.column_names, *waiting.column_names})]
+        columns = [(rows if name in rows.column_names else waiting).column(name) for name in names]
+        lane.waiting = [pa.table(columns, names=names)]
     pools = {name: _integers(saved.tables[name]) for name in _POOLS}
     keys = Keys(lane.input.kinds)
     keys.texts = Texts(header["key_texts"])
@@ -346,17 +358,20 @@ def _integers(table: pa.Table) -> Integers:
     return integers
 
 
-def _encoded(saved: Saved) -> bytes:
-    options = pa.ipc.IpcWriteOptions(compression="zstd", use_threads=False)
-    streams = []
-    for table in saved.tables.values():
-        sink = pa.BufferOutputStream()
-        with pa.ipc.new_stream(sink, table.schema, options=options) as writer:
-            writer.write_table(table)
-        streams.append(sink.getvalue().to_pybytes())
-    said = {**saved.header, "tables": {name: len(each) for name, each in zip(saved.tables, streams, strict=True)}}
+def _encoded(saved: Saved, waiting: bytes) -> bytes:
+    streams = {name: _stream(table) for name, table in saved.tables.items()} | {"waiting": waiting}
+    said = {**saved.header, "tables": {name: len(each) for name, each in streams.items()}}
     header = zstandard.compress(json.dumps(said, separators=(",", ":"), ensure_ascii=False).encode())
-    return b"".join((MAGIC, struct.pack(">I", len(header)), header, *streams))
+    return b"".join((MAGIC, struct.pack(">I", len(header)), header, *streams.values()))
+
+
+def _stream(table: pa.Table) -> bytes:
+    options = pa.ipc.IpcWriteOptions(compression="zstd", use_threads=False)
+    sink = pa.BufferOutputStream()
+    with pa.ipc.new_stream(sink, table.schema, options=options) as writer:
+        writer.write_table(table)
+    encoded: bytes = sink.getvalue().to_pybytes()
+    return encoded
 
 
 def _decoded(state: bytes) -> Saved:

@@ -45,7 +45,7 @@ def lint(rules: Sequence[Rule], schemas: Mapping[str, pa.Schema]) -> list[Findin
         findings.append(finding_of(error))
     for rule in rules:
         found = check(rule, schemas)
-        findings += [*found, *_untested(rule)]
+        findings += [*(each for each in found if each not in findings), *_untested(rule)]
         if not any(each.severity == "error" for each in found):
             bounds.append(bind(rule, schemas))
     return [*findings, *_overlapping(bounds)]
@@ -56,7 +56,8 @@ def check(rule: Rule, schemas: Mapping[str, pa.Schema]) -> list[Finding]:
     try:
         bound = bind(rule, schemas)
     except RuleError as error:
-        return [finding_of(error)]
+        # A slip in a unit is told too: it is often why the rest does not fit.
+        return [finding_of(error), *_slips(rule)]
     return [
         *_unused(bound),
         *_slips(rule),

@@ -8,6 +8,7 @@ from patterns.text import Passage
 
 VALUES_MOST = 100_000
 """Most values that a list has."""
+_CHARACTERS_MOST = 16_000_000
 
 
 def is_file(value: Any) -> bool:
@@ -29,9 +30,15 @@ def file_values(name: str, passage: Passage, folder: Path | None) -> tuple[str, 
     if folder is None:
         raise passage.error(f"{name}: a rule that is no file itself has no files beside it", 0)
     try:
-        lines = (folder / name).read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise passage.error(f"cannot read {folder / name}: {error}", 0) from error
+        with (folder / name).open(encoding="utf-8") as file:
+            text = file.read(_CHARACTERS_MOST + 1)
+    except OSError as error:
+        raise passage.error(f"{folder / name} cannot be read: {error.strerror}", 0) from error
+    except UnicodeDecodeError as error:
+        raise passage.error(f"{folder / name}: a list is UTF-8 text, a value a line; here it is not", 0) from error
+    if len(text) > _CHARACTERS_MOST:
+        raise passage.error(f"{folder / name}: a list has at most {_CHARACTERS_MOST} characters, got more", 0)
+    lines = text.splitlines()
     values = tuple(dict.fromkeys(line.strip() for line in lines if line.strip() and not line.startswith("#")))
     if not 0 < len(values) <= VALUES_MOST:
         raise passage.error(f"{folder / name}: a list has 1 to {VALUES_MOST} values, got {len(values)}", 0)

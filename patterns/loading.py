@@ -32,6 +32,7 @@ KeyPath = tuple[str, ...]
 M = TypeVar("M", bound=BaseModel)
 
 _TOO_DEEP = f"a rule file nests at most {DEPTH_MOST} lists and mappings in each other, and none in itself"
+_TOO_MANY = "aliases (*name) make more values of this file than it has characters; write them out"
 
 
 def load_rules(path: Path) -> list[Rule]:
@@ -95,10 +96,11 @@ def read_text(path: Path) -> str:
         RuleError: It is too long, or not UTF-8.
         OSError: The file cannot be read.
     """
-    data = path.read_bytes()
+    with path.open("rb") as file:
+        data = file.read(FILE_SIZE_MOST + 1)
     document = Document(str(path), "")
     if len(data) > FILE_SIZE_MOST:
-        raise RuleError(f"a rule file has at most {FILE_SIZE_MOST} bytes, got {len(data)}", document.place(0, 0))
+        raise RuleError(f"a rule file has at most {FILE_SIZE_MOST} bytes, got more", document.place(0, 0))
     try:
         return data.decode("utf-8")
     except UnicodeDecodeError as error:
@@ -179,17 +181,22 @@ def _constructed(node: MappingNode, document: Document) -> Any:
     except (yaml.MarkedYAMLError, ValueError) as error:
         mark = error.problem_mark if isinstance(error, yaml.MarkedYAMLError) else None
         line, column = (mark.line, mark.column) if mark else (0, 0)
-        raise RuleError(f"not a YAML value: {error}", document.place(line, column)) from error
+        what = error.problem if isinstance(error, yaml.MarkedYAMLError) else error
+        raise RuleError(f"not a YAML value: {what}", document.place(line, column)) from error
 
 
 def _note(node: Node, path: KeyPath, document: Document, passages: dict[KeyPath, Passage]) -> None:
     """Notes where the node and everything in it stands.
 
     Raises:
-        RuleError: A key stands twice in one mapping or is none, or the nesting is too deep.
+        RuleError: A key stands twice in one mapping or is none, the nesting is too deep, or aliases
+            say more values than the file has characters.
     """
     if len(path) > DEPTH_MOST:
         raise RuleError(_TOO_DEEP, document.place(node.start_mark.line, node.start_mark.column))
+    if len(passages) > len(document.text):
+        # Each value that is written takes a character, so only aliases of aliases come here.
+        raise RuleError(_TOO_MANY, document.place(node.start_mark.line, node.start_mark.column))
     passages[path] = _passage(node, document)
     if isinstance(node, SequenceNode):
         for index, item in enumerate(node.value):

@@ -16,7 +16,7 @@ import math
 from bisect import bisect_left
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 from patterns.errors import LimitError, SkipError
 from patterns.program import Tables
@@ -85,8 +85,7 @@ class Block:
     starts: Sequence[int]
 
 
-@dataclass(frozen=True, slots=True)
-class Ending:
+class Ending(NamedTuple):
     """How far a start has come: a match, unless a more preferred one is still found."""
 
     registers: Registers
@@ -131,8 +130,7 @@ class Partition:
     fired_us: int | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Found:
+class Found(NamedTuple):
     """A final match.
 
     Attributes:

@@ -14,7 +14,7 @@ from sqlglot.errors import ParseError
 from sqlglot.tokenizer_core import Token, TokenType
 
 from patterns.dialect import ClauseDialect
-from patterns.errors import NotSupportedYet
+from patterns.errors import NotSupportedYet, RuleError
 from patterns.pattern_parser import parse_pattern
 from patterns.syntax import (
     Arm,
@@ -35,6 +35,11 @@ from patterns.text import Passage
 from patterns.tokens import Word, canonical_name, tokenise
 
 SITUATION_TYPE = "situation_detected"
+NESTING_MOST = 30
+"""Parentheses of an expression in each other."""
+OPERATORS_MOST = 150
+"""Operators and functions of an expression in each other; a chain of AND counts each."""
+
 _T = TypeVar("_T")
 _CLAUSES = ("PARTITION", "ORDER", "MEASURES", "ONE", "ALL", "AFTER", "INITIAL", "SEEK", "PATTERN", "SUBSET", "DEFINE")
 _OPENING, _CLOSING = ("(", "[", "{"), (")", "]", "}")
@@ -347,6 +352,8 @@ class _Parser:
             if depth == 0 and (key in (",", *_CLOSING) or key in stops or (key in _CLAUSES and self.begins_clause())):
                 break
             depth += (key in _OPENING) - (key in _CLOSING)
+            if depth > NESTING_MOST:
+                self.fail(f"{clause}: an expression nests at most {NESTING_MOST} parentheses in each other")
             self.index += 1
         words = self.words[first : self.index]
         if not words:
@@ -364,7 +371,11 @@ class _Parser:
                     message = f"{clause}: {word.key} stands before FIRST, LAST or an aggregate function only"
                     raise self.passage.error(message, word.start) from error
             raise self.passage.error(f"{clause}: {_complaint(error)}", at) from error
+        except RecursionError as error:
+            raise self.too_deep(clause, words[0].start) from error
         tree = trees[0]
+        if tree is not None and _height(tree) > OPERATORS_MOST:
+            raise self.too_deep(clause, words[0].start)
         if tree is not None:
             tree = tree.transform(_without_nameless)
         if len(trees) != 1 or not isinstance(tree, exp.Paren | exp.Subquery):
@@ -373,6 +384,10 @@ class _Parser:
             alias = tree.this.args["alias"]
             raise self.passage.error(f"{clause}: not one expression", alias.meta.get("start", words[-1].start))
         return tree.this if isinstance(tree, exp.Paren) else tree
+
+    def too_deep(self, clause: str, at: int) -> RuleError:
+        message = f"{clause}: the expression nests too deeply; {OPERATORS_MOST} operators are the most in one chain"
+        return self.passage.error(f"{message}. Next: IN (...) in place of many OR", at)
 
     def begins_clause(self) -> bool:
         """Whether the keyword here opens a clause, rather than naming a variable, a column or a function."""
@@ -438,6 +453,16 @@ class _Parser:
 
     def refuse_at(self, what: str, at: int) -> NoReturn:
         raise self.passage.error(f"{what} is not supported yet", at, NotSupportedYet)
+
+
+def _height(tree: exp.Expr) -> int:
+    """How many nodes stand in each other, on the deepest way; parentheses do not count."""
+    highest, waiting = 0, [(tree, 1)]
+    while waiting:
+        node, height = waiting.pop()
+        highest = max(highest, height)
+        waiting += [(child, height + (not isinstance(child, exp.Paren))) for child in node.iter_expressions()]
+    return highest
 
 
 def _without_nameless(node: exp.Expr) -> exp.Expr:

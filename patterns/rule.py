@@ -60,6 +60,7 @@ def _as_list(value: Any) -> Any:
 
 
 Duration = Annotated[timedelta, BeforeValidator(_as_duration), Field(ge=timedelta(0), strict=True)]
+VERSION_MOST = 2**31 - 1
 _FiniteFloat = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 _StrictDuration = Annotated[timedelta, Field(strict=True)]
 _Scalar = StrictBool | StrictInt | _FiniteFloat | StrictStr | _StrictDuration | InstanceOf[Quantity]
@@ -123,7 +124,7 @@ class Rule(_Frozen):
     """One rule: a SQL:2016 row pattern and what surrounds it."""
 
     rule: Name
-    version: int = Field(ge=1, strict=True)
+    version: int = Field(ge=1, le=VERSION_MOST, strict=True)
     title: str = Field(min_length=1)
     severity: Severity
     zones: Mapping[Name, Zone] = Field(default_factory=dict)

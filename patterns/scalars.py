@@ -5,6 +5,7 @@ at hand, or the last row mapped to another variable; in MEASURES the last row of
 the variable, or of the match.
 """
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property
@@ -98,7 +99,14 @@ class _Translator:
         try:
             return typed_call(op, operands)
         except TypeMismatch as error:
-            self.fail(str(error), node)
+            self.fail(f"{error}{self.texts_among(node)}", node)
+
+    def texts_among(self, node: exp.Expr) -> str:
+        """What is to be said of parameters that were meant as quantities and are texts."""
+        names = {str(each.this or "") for each in node.find_all(exp.Placeholder)}
+        values = {name: self.scope.params.get(name) for name in sorted(names)}
+        texts = [f":{name} is the text {value!r}" for name, value in values.items() if _begins_like_a_number(value)]
+        return f"; {', '.join(texts)}, where a duration is written as in 10 s" if texts else ""
 
     # Names.
 
@@ -463,6 +471,10 @@ def labelled(operand: Expr, variable: str) -> Expr:
     if isinstance(operand, Classifier):
         return Const(variable, Kind.STRING)
     return rebuilt(operand, lambda part: labelled(part, variable))
+
+
+def _begins_like_a_number(value: object) -> bool:
+    return isinstance(value, str) and re.match(r"[-+]?[0-9.]", value) is not None
 
 
 def _named(node: exp.Expr) -> str:

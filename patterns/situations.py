@@ -12,7 +12,7 @@ from typing import Any
 from patterns.bound import BoundRule
 from patterns.durations import MICROSECOND
 from patterns.errors import MatchError
-from patterns.expressions import Crosses, InZone, Kind, OnGround, walk
+from patterns.expressions import Column, Crosses, Expr, InZone, Kind, OnGround, Reference, walk
 from patterns.geometry import Line, Zone
 from patterns.guards import compile_guard
 from patterns.matcher import Event, Found, runs
@@ -67,14 +67,12 @@ class Match:
         narrator: "Narrator",
         key: Sequence[Any],
         found: Found,
-        values: Sequence[Any],
         judged_by: dict[str, tuple[EventRange, ...]],
     ) -> None:
-        """What the matcher found, and the measures' and the title's values as the engine has them."""
+        """What the matcher found, and what it was judged by."""
         self._narrator = narrator
         self._key = key
         self._found = found
-        self._values = values
         self.judged_by = judged_by
 
     def __eq__(self, other: object) -> bool:
@@ -88,6 +86,10 @@ class Match:
     def __repr__(self) -> str:
         """All that it says."""
         return f"Match({', '.join(f'{name}={getattr(self, name)!r}' for name in self._SAID)})"
+
+    @cached_property
+    def _values(self) -> Sequence[Any]:
+        return self._narrator.values(self._found)
 
     @property
     def rule(self) -> str:
@@ -188,7 +190,9 @@ class Narrator:
         self.outputs = [(output.name, output.value.kind) for output in outputs]
         self.measured = len(bound.measures)
         self.guards = [compile_guard(output.value, slots, registers, places) for output in outputs]
-        self.times = [at for at, (_, kind) in enumerate(self.outputs) if kind is Kind.TIME]
+        self.times = [
+            guard for output, guard in zip(outputs, self.guards, strict=True) if _is_other_time(output.value)
+        ]  # fmt: skip
         self.key_times = [at for at, (_, kind) in enumerate(self.keys) if kind is Kind.TIME]
 
     @property
@@ -202,15 +206,17 @@ class Narrator:
         Raises:
             MatchError: It has a time that no calendar has.
         """
-        registers = found.ending.registers
-        values = [value((), registers) for value in self.guards]
         _check_time(found.first[2])
         _check_time(found.ending.event[2])
-        for at in self.times:
-            _check_time(values[at])
+        for guard in self.times:
+            _check_time(guard((), found.ending.registers))
         for at in self.key_times:
             _check_time(key[at])
-        return Match(self, key, found, values, self._judged_by(found) if self.drawn else {})
+        return Match(self, key, found, self._judged_by(found) if self.drawn else {})
+
+    def values(self, found: Found) -> list[Any]:
+        """The measures' and then the title's values, as the engine has them."""
+        return [guard((), found.ending.registers) for guard in self.guards]
 
     def partition(self, key: Sequence[Any]) -> dict[str, Scalar]:
         """The partition columns and their values."""
@@ -276,6 +282,12 @@ def _drawn_by_events(bound: BoundRule) -> dict[str, str]:
         elif isinstance(part, OnGround):
             drawn["calibration"] = CALIBRATION
     return drawn
+
+
+def _is_other_time(value: Expr) -> bool:
+    """Whether the value is a time, and not that of one of the match's rows, which lies between its first and last."""
+    is_of_row = isinstance(value, Reference) and isinstance(value.operand, Column) and value.operand.name == "time"
+    return value.kind is Kind.TIME and not is_of_row
 
 
 def event_ref(event: Event, stream_names: Sequence[str]) -> EventRef:

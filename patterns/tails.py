@@ -35,9 +35,10 @@ class Tails:
         if self.reach == 0 or more <= 0:
             return
         self.counts = np.concatenate((self.counts, np.zeros(more, dtype=np.int64)))
-        for held in (self.values, self.is_null):
-            for name, values in held.items():
-                held[name] = np.concatenate((values, np.zeros((more, self.reach), dtype=values.dtype)))
+        for name, values in self.values.items():
+            self.values[name] = np.concatenate((values, np.zeros((more, self.reach), dtype=values.dtype)))
+            # What no restored rule said of a row is NULL, not a value.
+            self.is_null[name] = np.concatenate((self.is_null[name], np.ones((more, self.reach), dtype=np.bool_)))
 
     def keep_partitions(self, kept: Integers) -> None:
         """Keeps these partitions, numbered in this order."""

@@ -1,6 +1,6 @@
 """The page of figures is what the last runs measured, and nothing else."""
 
-from benchmarks.report import PAGE, RESULTS, beside_flink, of_rules, page
+from benchmarks.report import PAGE, RESULTS, beside_flink, of_rules, over_the_log, page
 
 
 def test_the_page_is_written_from_the_results() -> None:
@@ -47,3 +47,17 @@ def test_what_rules_cost_stands_beside_what_was_wanted() -> None:
     assert "| 100 zone rules, of 100 times what one costs | 0.040 | at most 0.0666667: reached |" in section
     assert "| start to first match | 2.50 s | at most 2: missed |" in section
     assert "| (A\\|B)*? | rule | 8 | 1.0 s | 1.00 | 0 |" in section
+
+
+def test_rules_over_the_log_stand_beside_flink_and_what_was_wanted() -> None:
+    run = {"measured_at": "2026-01-01T10:00:00+00:00", "is_quick": False}
+    caught_up = {"rule": "A then B", "keys": 100, "situations": 7, "events_per_cpu_s": 2e6, "events_per_wall_s": 1e6}
+    online = {"events_per_s": 25_000, "rules": 20, "situations": 500, "seconds": 60.0, "cores": 0.2}
+    latency = {"latency_p50_ms": 40.0, "latency_p99_ms": 160.0}
+    said = {**run, "catch_up": [caught_up], "online": online | latency, "reload_ms": 30.0}
+    hour = {"seconds": 3600.0, "quarters_mb": [200.0, 205.0, 206.0, 206.0]}
+    theirs = [{"what": "A then B", "keys": 100, "events_per_cpu_s": 80_000}]
+    section = "\n".join(over_the_log(said | {"memory": hour}, {**run, "flink": theirs}))
+    assert "| A then B | 100 | 7 | 2,000,000 | 1,000,000 | 80,000 | 25 | at least 25: reached |" in section
+    assert "committed situation, p99 | 160 ms | at most 150: missed |" in section
+    assert "| memory after 60 minutes of event time, of that after a quarter of them | 1.03 times |" in section

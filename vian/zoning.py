@@ -244,13 +244,17 @@ def points_of(shape: Shape) -> list[list[float]]:
 
 
 def parsed_points(option: str, text: str) -> list[list[float]]:
-    """The points that an option writes as `x,y x,y ...`.
+    """The points that an option writes as `x,y x,y ...`, or as `x,y,x,y,...` like `vian rules new`.
 
     Raises:
         WrongUsage: It does not.
     """
     points = []
-    for part in text.split():
+    parts = text.split()
+    if len(parts) == 1:
+        numbers = text.strip().split(",")
+        parts = [",".join(numbers[at : at + 2]) for at in range(0, len(numbers), 2)]
+    for part in parts:
         numbers = part.split(",")
         try:
             x, y = (float(number) for number in numbers)

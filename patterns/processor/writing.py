@@ -80,7 +80,7 @@ def shadow_of(match: Match) -> SituationShadowed:
 def json_of(values: Mapping[str, Any]) -> str:
     """JSON of partition columns or measures: times in ISO 8601, durations in seconds, NaN as null."""
     try:
-        return _JSON.encode(values)
+        return _JSON.encode(dict(values))
     except ValueError:
         return _JSON.encode(_finite(dict(values)))
 

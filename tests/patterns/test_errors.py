@@ -114,3 +114,26 @@ def test_check_does_not_warn_of_a_variable_that_any_row_fits_by_intent(pattern: 
 def test_a_value_of_the_wrong_kind_is_shown() -> None:
     with pytest.raises(RuleError, match="version: Input should be a valid integer, got 'three'"):
         parse_rule(HEAD.replace("version: 1", "version: three"))
+
+
+@pytest.mark.parametrize(
+    "condition,place,message",
+    [
+        ("(" * 40 + "n > 1" + ")" * 40, "11:57", "at most 30 parentheses in each other"),
+        (" OR ".join(f"n = {number}" for number in range(200)), "11:27", "150 operators are the most in one chain"),
+        ("NOT " * 400 + "n > 1", "11:27", "150 operators are the most in one chain"),
+    ],
+    ids=["parentheses", "chain", "prefixes"],
+)
+def test_an_expression_that_nests_too_deeply_is_refused(condition: str, place: str, message: str) -> None:
+    text = HEAD + f"  {BEGINNING}  PATTERN (A) DEFINE A AS {condition})\n"
+    with pytest.raises(RuleError) as caught:
+        parse_rule(text, "sample.yaml")
+    assert message in caught.value.message
+    assert f"{caught.value.line}:{caught.value.column}" == place
+
+
+def test_a_duration_with_an_unknown_unit_is_named_where_it_does_not_fit() -> None:
+    text = HEAD.replace("10 s", "10 sek") + f"  {BEGINNING}  PATTERN (A B) DEFINE B AS B.time < A.time + :dwell)\n"
+    with pytest.raises(RuleError, match=r"\+ does not take time and string; :dwell is the text '10 sek', where a dur"):
+        bind(parse_rule(text, "sample.yaml"), SCHEMAS)

@@ -82,6 +82,7 @@ def test_a_rule_file_says_all_of_it() -> None:
         ("{subject}", "{subject.upper}", "3:9", "title: wanted {name} or {name:format}, got {subject.upper}"),
         ("{subject}", "{subject!r}", "3:9", "title: wanted {name} or {name:format}"),
         ("{subject}", "{subject:.2f}", "3:9", "title: Unknown format code 'f'"),
+        ("{subject}", "{n:c}", "3:9", "title: %c arg not in range"),
         ("version: 3", "version: 3\nversion: 4", "3:1", "the key 'version' stands twice"),
         ("version: 3", "version: [3", "3:6", "not YAML"),
         ("version: 3", "version: !!python/none 3", "2:10", "not a YAML value"),
@@ -207,6 +208,10 @@ def test_a_rule_made_in_a_program_points_into_its_own_sql() -> None:
         raise rule.error("once_per", "version")
 
 
+# A billion values in a few lines, if aliases were followed.
+_BOMB = "a0: &a0 [x, x]\n" + "".join(f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 10)}]\n" for n in range(1, 10))
+
+
 @pytest.mark.parametrize(
     "text,message",
     [
@@ -214,6 +219,9 @@ def test_a_rule_made_in_a_program_points_into_its_own_sql() -> None:
         (GOOD + "more: " + "[" * 3000 + "]" * 3000, "nests at most 20 lists and mappings"),
         (GOOD + "more: " + "[" * 40 + "]" * 40, "nests at most 20 lists and mappings"),
         (GOOD + "more: &x [*x]\n", "nests at most 20 lists and mappings"),
+        (GOOD + _BOMB, "aliases (*name) make more values of this file than it has characters"),
+        (GOOD + "more: !!python/object/apply:os.system ['true']\n", "could not determine a constructor for the tag"),
+        (GOOD.replace("version: 3", f"version: {2**40}"), "less than or equal to 2147483647"),
     ],
 )
 def test_yaml_that_no_rule_needs_is_refused(text: str, message: str) -> None:

@@ -178,7 +178,9 @@ def test_lists_may_stand_in_a_file_beside_the_rule(tmp_path: Path) -> None:
     assert not plain.is_whole
 
 
-@pytest.mark.parametrize("content,message", [(None, "cannot read"), (b"\xff", "cannot read"), (b"# no\n", "got 0")])
+@pytest.mark.parametrize(
+    "content,message", [(None, "cannot be read"), (b"\xff", "a list is UTF-8 text"), (b"# no\n", "got 0")]
+)
 def test_a_list_that_cannot_be_read_is_named(tmp_path: Path, content: bytes | None, message: str) -> None:
     if content is not None:
         (tmp_path / "list.txt").write_bytes(content)

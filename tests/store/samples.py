@@ -4,6 +4,7 @@ import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
+from pathlib import Path
 from typing import Any
 
 import psycopg
@@ -11,12 +12,16 @@ import pytest
 
 from events import (
     ActivityInterval,
+    CameraCalibrated,
     CheckpointSigned,
     Draft,
     EventBatch,
     EventType,
+    GroupSeen,
     LossRecorded,
     MatchedRange,
+    Occupancy,
+    PairDistance,
     PlateRead,
     ProcessFailed,
     ProcessFinished,
@@ -26,13 +31,18 @@ from events import (
     RuleDeployed,
     RuleMissed,
     RuleRetired,
+    SceneChanged,
     SituationDetected,
     SituationShadowed,
+    StageDeployed,
     StreamName,
     SyncPlanned,
+    Tally,
     TrackEnded,
     TrackPoint,
     VideoAdded,
+    ZoneDefined,
+    ZoneRemoved,
     batch_of,
     encode,
 )
@@ -41,6 +51,7 @@ from store import Log
 on_both = pytest.mark.parametrize("server", ["embedded", "15"], indirect=True)
 """Run on the embedded PostgreSQL and on PostgreSQL 15, the oldest that is supported."""
 
+GOLDEN = Path(__file__).parents[1] / "events" / "golden"
 NOON = datetime(2026, 1, 1, 12, tzinfo=UTC)
 PRODUCER = Producer("motion", "1.0", bytes(range(32)))
 GATE = StreamName.of("brno", "gate", "track_point")
@@ -99,6 +110,16 @@ def query(log: Log, statement: str, *parameters: Any) -> list[tuple[Any, ...]]:
     """What the database's owner sees."""
     with owner(log) as connection:
         return connection.execute(statement, parameters).fetchall()
+
+
+_BY_GOLDEN = (CameraCalibrated, GroupSeen, Occupancy, PairDistance, SceneChanged, StageDeployed, Tally,
+              ZoneDefined, ZoneRemoved)  # fmt: skip
+
+
+def _golden(event_type: type[EventType]) -> EventType:
+    """The first of the type's golden events."""
+    path = GOLDEN / f"{event_type.type_name}.v{event_type.version}.json"
+    return event_type.model_validate_json(json.dumps(json.loads(path.read_text(encoding="utf-8"))[0]))
 
 
 ONE_OF_EACH: tuple[EventType, ...] = (
@@ -237,5 +258,19 @@ ONE_OF_EACH: tuple[EventType, ...] = (
         ended_at=NOON,
         partition=None,
         reason="later than time.lateness (2 s) allows",
+    ),
+    *(
+        _golden(each)
+        for each in (
+            CameraCalibrated,
+            GroupSeen,
+            Occupancy,
+            PairDistance,
+            SceneChanged,
+            StageDeployed,
+            Tally,
+            ZoneDefined,
+            ZoneRemoved,
+        )
     ),
 )

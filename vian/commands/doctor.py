@@ -7,7 +7,7 @@ from vian.doctor import examine
 from vian.errors import WorldFailed
 from vian.findings import Verdict
 from vian.options import open_from, settings_for
-from vian.output import Output
+from vian.output import Output, counted
 
 
 def register(app: typer.Typer) -> None:
@@ -29,4 +29,4 @@ def doctor(data_dir: options.DataDir = None, dsn: options.Dsn = None, as_json: o
             f"{finding.verdict.value:4}  {finding.check}: {finding.text}",
         )
     if bad:
-        raise WorldFailed(f"{bad} checks came out bad; each says what to do next")
+        raise WorldFailed(f"{counted(bad, 'check')} came out bad; each says what to do next")

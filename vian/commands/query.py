@@ -69,7 +69,9 @@ def query(
     except BrokenPipeError:
         raise  # the reader of standard output has gone; it is no file of ours
     except OSError as error:
-        raise WorldFailed(f"the answer cannot be written to {output_file}: {error.strerror}") from error
+        folder = output_file.parent if output_file else Path()
+        wanted = "" if folder.is_dir() else f". Next: mkdir -p {folder}"
+        raise WorldFailed(f"the answer cannot be written to {output_file}: {error.strerror}{wanted}") from error
 
 
 def presentable(table: pa.Table) -> pa.Table:

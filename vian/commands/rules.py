@@ -30,7 +30,7 @@ from vian.commands import (
 )
 from vian.errors import WorldFailed, WrongUsage
 from vian.options import opened, settings_for
-from vian.output import Output
+from vian.output import Output, counted
 from vian.parts import Parts, stepping
 from vian.rules import check_fit, deploy_all, files_of, limits_of, load_all, misplaced, readable_rules
 
@@ -50,8 +50,8 @@ def check_rules(paths: Paths, as_json: options.Json = False) -> None:
     try:
         known = with_situations(known, readable_rules(files))
     except RuleError as error:
+        # The rules of the cycle fail one by one below, for what they read is not there; others need not.
         _print_finding(None, finding_of(error), output)
-        raise WrongUsage("rules would feed on their own situations") from error
     bad = [str(file) for file in files if not _is_good(file, names, known, output)]
     if bad:
         raise WrongUsage(f"{len(bad)} of {len(files)} rule files did not pass: {', '.join(bad)}")
@@ -142,7 +142,10 @@ def run(
             output.note(f"rule {name}: {late} events came too late to take part")
     if processor.segments_skipped:
         output.note(f"{processor.segments_skipped} segments of versions unknown here took no part. Next: upgrade ViAn")
-    output.result({"rules": len(rules), "situations": found}, f"{found} situations found by {len(rules)} rules")
+    output.result(
+        {"rules": len(rules), "situations": found},
+        f"{counted(found, 'situation')} found by {counted(len(rules), 'rule')}",
+    )
     if processor.failures:
         reasons = "; ".join(f"{name}: {failure}" for name, failure in processor.failures.items())
         raise WorldFailed(f"rules were set aside: {reasons}")

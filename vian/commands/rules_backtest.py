@@ -27,10 +27,12 @@ from vian.chosen_rule import chosen_rule, other_version
 from vian.commands.rules_service import position_behind
 from vian.errors import WrongUsage
 from vian.options import check_known, opened, settings_for, time_of
-from vian.output import Output
+from vian.output import Output, counted
 from vian.rules import limits_of, misplaced
 
 RuleName = Annotated[str, typer.Argument(metavar="RULE", help="A rule file, or a deployed rule: NAME or NAME@VERSION.")]
+_DERIVED = ("pair_distance", "occupancy", "group_seen", "tally")
+"""Event types that stages derive."""
 _COLUMNS = ("decided", "began", "partition", "measures", "title")
 
 
@@ -112,9 +114,10 @@ def _ran(log: Log, rule: Rule, span: Span, limits: ProcessorLimits, output: Outp
 def _remark(bound: BoundRule, result: Backtested, is_open: bool, output: Output) -> None:
     label = _label(bound.rule)
     if not result.rows:
-        output.note(
-            f"{label}: the log has no {' or '.join(sorted(bound.types))} that the rule could see. Next: vian streams"
-        )
+        wanted = " or ".join(sorted(bound.types))
+        is_derived = any(each in _DERIVED for each in bound.types)
+        following = "vian stages run FILES derives them" if is_derived else "vian streams"
+        output.note(f"{label}: the log has no {wanted} that the rule could see. Next: {following}")
     if result.late:
         output.note(f"{label}: {result.late} events came too late to take part, as online")
     if result.waiting and is_open:
@@ -162,8 +165,9 @@ def _show_all(
             output.result(row)
     else:
         rows_shown = [(*_cells(event), recorded.get(event.situation, "no")) for _, event in found]
-        output.table("", (*_COLUMNS, "in the log"), rows_shown)
-        output.line(f"{len(found)} situations")
+        if rows_shown:
+            output.table("", (*_COLUMNS, "in the log"), rows_shown)
+        output.line(counted(len(found), "situation"))
 
 
 def _show_difference(pairs: Sequence[Pair], names: tuple[str, str], output: Output, as_csv: bool) -> None:

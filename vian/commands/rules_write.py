@@ -12,7 +12,7 @@ from rich.text import Text
 
 from events import load_catalogue
 from patterns.cases import TestResult, run_tests
-from patterns.errors import PatternError, RuleError
+from patterns.errors import PatternError, Place, RuleError
 from patterns.expanding import expand
 from patterns.findings import Finding, finding_of
 from patterns.lint import lint as lint_rules
@@ -25,7 +25,7 @@ from patterns.strata import with_situations
 from patterns.template import Template, new_rule, templates
 from vian import options
 from vian.errors import WorldFailed, WrongUsage
-from vian.output import Output, printable
+from vian.output import Output, counted, printable
 from vian.rules import files_of, readable_rules
 
 Paths = Annotated[list[Path], typer.Argument(help="Rule files, or folders of them.")]
@@ -166,23 +166,23 @@ def _write(text: str, file: Path) -> None:
     except FileExistsError as error:
         raise WrongUsage(f"{file} is there already, and a rule file is never overwritten. Next: -o ANOTHER") from error
     except OSError as error:
-        raise WorldFailed(f"{file} cannot be written: {error.strerror}") from error
+        wanted = "" if file.parent.is_dir() else f". Next: mkdir -p {file.parent}"
+        raise WorldFailed(f"{file} cannot be written: {error.strerror}{wanted}") from error
 
 
 def lint(paths: Paths, as_json: options.Json = False) -> None:
     """Say what is wrong, or looks wrong, with rules, each at its place; nothing is run."""
     output = Output(is_json=as_json)
-    known = with_situations(schemas(load_catalogue()), readable_rules(files_of(paths)))
     rules, findings = _loaded(files_of(paths))
-    findings += lint_rules(rules, known)
+    findings += lint_rules(rules, schemas(load_catalogue()))
     for each in findings:
         place = {"file": each.place.file, "line": each.place.line, "column": each.place.column}
         output.result({"severity": each.severity, "code": each.code, "message": each.message, **place}, str(each))
     errors = sum(each.severity == "error" for each in findings)
     warnings = len(findings) - errors
     if errors:
-        raise WrongUsage(f"{errors} errors, {warnings} warnings")
-    output.note(f"no errors, {warnings} warnings")
+        raise WrongUsage(f"{counted(errors, 'error')}, {counted(warnings, 'warning')}")
+    output.note(f"no errors, {counted(warnings, 'warning')}")
 
 
 def _loaded(files: Sequence[Path]) -> tuple[list[Rule], list[Finding]]:
@@ -194,7 +194,8 @@ def _loaded(files: Sequence[Path]) -> tuple[list[Rule], list[Finding]]:
         except RuleError as error:
             findings.append(finding_of(error))
         except OSError as error:
-            raise _unreadable(file, error) from error
+            place = Place(str(file), 1, 1, "")
+            findings.append(Finding("error", str(_unreadable(file, error)), place))
     return rules, findings
 
 
@@ -205,15 +206,16 @@ def _unreadable(file: Path, error: OSError) -> WrongUsage:
 def run_rule_tests(paths: Paths, as_json: options.Json = False) -> None:
     """Run the tests in files of rules and stages, and show what was wanted beside what was found."""
     output = Output(is_json=as_json)
-    known = with_situations(schemas(load_catalogue()), readable_rules(files_of(paths, with_stages=True)))
+    files = files_of(paths, with_stages=True)
+    known = with_situations(schemas(load_catalogue()), readable_rules(files))
     failed: list[str] = []
     count = 0
-    files = files_of(paths, with_stages=True)
     for file in files:
         try:
             results = _tests_of(file, known)
-        except PatternError as error:
-            output.result({"file": str(file), "error": str(error)}, f"{error}")
+        except (PatternError, OSError) as error:
+            message = str(error) if isinstance(error, PatternError) else str(_unreadable(file, error))
+            output.result({"file": str(file), "error": message}, message)
             failed.append(str(file))
             continue
         count += len(results)
@@ -224,16 +226,13 @@ def run_rule_tests(paths: Paths, as_json: options.Json = False) -> None:
             output.note(f"{file}: has no tests")
     if failed:
         raise WrongUsage(f"tests failed in {len(failed)} of {len(files)} files: {', '.join(failed)}")
-    output.note(f"{count} tests passed")
+    output.note(f"{counted(count, 'test')} passed")
 
 
 def _tests_of(file: Path, known: Mapping[str, pa.Schema]) -> list[TestResult]:
-    try:
-        if is_stage_file(file):
-            return run_stage_tests(load_stage(file))
-        return run_tests(load_rule(file), known)
-    except OSError as error:
-        raise _unreadable(file, error) from error
+    if is_stage_file(file):
+        return run_stage_tests(load_stage(file))
+    return run_tests(load_rule(file), known)
 
 
 def _show_result(result: TestResult, output: Output) -> None:

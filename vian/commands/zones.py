@@ -75,7 +75,10 @@ def define_zone(
     shape = _shape(name, source, zone, line, units)
     with opened(settings, data_dir=data_dir, is_made=True) as log:
         events = define(log, settings.station, {name: shape}, utc_now(), author=author, reason=reason)
+        sources = sorted({head.stream.source for head in log.streams() if head.stream.type == "video_added"})
     output = Output(is_json=as_json)
+    if sources and source not in sources:
+        output.note(f"warning: the log has no video of {source} yet; it has of: {', '.join(sources)}")
     if not events:
         output.result({"zone": name, "source": source, "changed": False}, f"{source}/{name} stands so already")
     for event in events:
@@ -144,7 +147,8 @@ def draw(
 def calibrate_source(
     source: Annotated[str, typer.Argument(help="The source to calibrate.")],
     file: Annotated[
-        Path, typer.Argument(help="A YAML file: points: [{px: [x, y], m: [east, north]}, ...], four or more.")
+        Path,
+        typer.Argument(help="A YAML file with `points:`, four or more, each with `px:` x, y and `m:` east, north."),
     ],
     data_dir: options.DataDir = None,
     dsn: options.Dsn = None,

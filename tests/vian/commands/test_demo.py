@@ -101,7 +101,7 @@ def test_doctor_counts_what_is_bad(run: Run) -> None:
     ran = run("doctor", "--dsn", "postgresql://nobody@127.0.0.1:1/none?connect_timeout=1")
     assert ran.code == 1
     assert "bad   log: " in ran.out
-    assert "1 checks came out bad; each says what to do next" in ran.words
+    assert "1 check came out bad; each says what to do next" in ran.words
 
 
 def test_doctor_makes_no_log_in_a_folder_when_settings_name_an_address(

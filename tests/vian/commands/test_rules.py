@@ -97,7 +97,7 @@ def test_rules_run_over_the_log_once_and_find_each_situation_once(log: Log, run:
     assert "deployed high version 1" in first.err
     assert Projector(log).position == log.head(), "the row tables were brought up to the log"
     again = run("rules", "run", rule, "--once", "--dsn", log.dsn, "--station", "brno")
-    assert again.out == "0 situations found by 1 rules\n"
+    assert again.out == "0 situations found by 1 rule\n"
     assert again.err == ""
     titles = query(log, "select title from situation_detected").column("title").to_pylist()
     assert titles == ["track 1 is at 9.0", "track 1 is at 9.0"]

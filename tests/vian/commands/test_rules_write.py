@@ -73,9 +73,9 @@ WRONG: list[tuple[list[str], str]] = [
     (["new", "a b", "-t", "loitering"], "rule"),
     (["new", "mine", "-t", "loitering", "-o", "there.yaml"], "there.yaml is there already"),
     (["expand", "gone.yaml"], "the rule file gone.yaml cannot be read"),
-    (["test", "gone.yaml"], "the rule file gone.yaml cannot be read"),
-    (["lint", "gone.yaml"], "the rule file gone.yaml cannot be read"),
-    (["lint", "there.yaml"], "1 errors, 0 warnings"),
+    (["test", "gone.yaml"], "tests failed in 1 of 1 files: gone.yaml"),
+    (["lint", "gone.yaml"], "1 error, 0 warnings"),
+    (["lint", "there.yaml"], "1 error, 0 warnings"),
     (["test", "there.yaml"], "tests failed in 1 of 1 files: there.yaml"),
 ]
 
@@ -120,4 +120,18 @@ def test_lint_names_what_looks_wrong_at_its_place_and_runs_nothing(run: Run, tmp
     ran = run("rules", "lint", tmp_path)
     assert ran.code == 2
     assert "error: " in ran.out
-    assert "1 errors" in ran.words
+    assert "1 error" in ran.words
+
+
+def test_a_file_that_cannot_be_read_does_not_keep_others_from_being_checked(run: Run) -> None:
+    Path("rules").mkdir()
+    Path("rules/folder.yaml").mkdir()
+    run("rules", "new", "yard", "--template", "loitering", "-o", "rules/yard.yaml")
+    linted = run("rules", "lint", "rules")
+    assert linted.code == 2
+    assert "rules/folder.yaml:1:1: error: the rule file rules/folder.yaml cannot be read: Is a dir" in linted.out
+    assert "1 error, 0 warnings" in linted.words
+    tested = run("rules", "test", "rules")
+    assert tested.code == 2
+    assert "passed yard" in tested.out
+    assert "rules/folder.yaml cannot be read: Is a directory" in tested.out

@@ -35,6 +35,7 @@ def test_a_zone_is_drawn_drawn_anew_removed_and_drawn_again(zones, log: Log) -> 
         {"zone": "yard", "source": "cam-01", "changed": True, "version": 1}
     ]
     assert "stands so already" in zones(*yard, "--zone", SQUARE).out
+    assert "stands so already" in zones(*yard, "--zone", SQUARE.replace(" ", ",")).out
     assert "version 2" in zones(*yard, "--zone", "0,0 1,0 1,1", "--reason", "fence moved").out
     assert "version 1" in zones("define", "door", "--source", "cam-01", "--line", "5,5 9,9", "--units", "pixels").out
     (door, found) = told(zones("list", "--json"))
