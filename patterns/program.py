@@ -11,6 +11,8 @@ repetition, so no pattern loops for ever.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import permutations
+from math import factorial
 
 from patterns.syntax import Alternation, Anchor, Concatenation, Exclusion, Pattern, Permutation, Repetition, Variable
 
@@ -273,7 +275,14 @@ class _Writer:
         return split, self.reserve()
 
     def permutation(self, parts: tuple[Pattern, ...]) -> None:
-        """One state for each set of parts that are done, so 8 parts need 1,024 copies and not 8! times 8."""
+        """One state for each set of parts that are done, so 8 parts need 1,024 copies and not 8! times 8.
+
+        Where a part itself can go several ways, the order of the parts is preferred before its ways, so that no two
+        orders can share it.
+        """
+        if any(has_choice(part) for part in parts):
+            self.pattern(Alternation(tuple(Concatenation(order) for order in permutations(parts))))
+            return
         full = (1 << len(parts)) - 1
         begins: dict[int, int] = {}
         jumps: list[tuple[int, int]] = []
@@ -293,6 +302,21 @@ class _Writer:
     def reserve(self) -> int:
         self.code.append(Accept())
         return len(self.code) - 1
+
+
+def has_choice(pattern: Pattern) -> bool:
+    """Whether one row may be followed in it by several others, of which one is preferred."""
+    match pattern:
+        case Variable() | Anchor():
+            return False
+        case Concatenation(parts):
+            return any(has_choice(part) for part in parts)
+        case Repetition(body, least, most):
+            return least != most or has_choice(body)
+        case Exclusion(body):
+            return has_choice(body)
+        case _:
+            return True
 
 
 def is_nullable(pattern: Pattern) -> bool:
@@ -321,7 +345,9 @@ def _positions_needed(pattern: Pattern) -> int:
         case Concatenation(parts) | Alternation(parts):
             return sum(_positions_needed(part) for part in parts)
         case Permutation(parts):
-            return sum(max(1, _positions_needed(part)) for part in parts) << len(parts) - 1
+            needed = sum(max(1, _positions_needed(part)) for part in parts)
+            copies = factorial(len(parts)) if any(has_choice(part) for part in parts) else 1 << len(parts) - 1
+            return needed * copies
         case Repetition(body, least, most):
             return _positions_needed(body) * (least + 1 if most is None else most)
         case Exclusion(body):

@@ -466,3 +466,11 @@ f | l | n
 SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES MATCH_NUMBER() AS m, LAST(x) AS x PATTERN (A*))
 --- wanted
 m bigint | x varchar
+
+--- case the order of PERMUTE is preferred before the ways of its parts
+--- letters t bxab
+SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES string_agg(CLASSIFIER(), '') AS c PATTERN (PERMUTE(A, B C??, B))
+  DEFINE A AS x IN ('x', 'a'), B AS x IN ('b', 'x'))
+--- wanted
+c
+BCAB
