@@ -54,12 +54,12 @@ class Occupancy(EventType, type="occupancy", version=1, subject="zone"):
     """how many there were until this time"""
 
 
-class GroupSeen(EventType, type="group_seen", version=1, subject="group"):
+class GroupSeen(EventType, type="group_seen", version=1, subject="group_id"):
     """Tracked objects stood or went together for a while: a group formed, changed, went on or dissolved."""
 
     stage: str
     """name of the stage that derived it"""
-    group: Annotated[int, AtDoor(1)]
+    group_id: Annotated[int, AtDoor(1)]
     """number of the group, unique within its source and stage"""
     members: Annotated[int, Field(ge=0)]
     """how many tracks belong to it from this time on; 0: it has dissolved"""

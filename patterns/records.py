@@ -30,6 +30,7 @@ STREAM_COLUMNS = {"station": 0, "source": 1, "type": 2}
 ROW_COLUMNS = {"time": TIME, "sequence": SEQUENCE}
 """columns that every row has"""
 _BITS = 64
+_ALL_BITS = -1
 
 
 @dataclass(slots=True)
@@ -166,6 +167,8 @@ class RowEvaluator(ColumnEvaluator):
             is_here = self.is_from(line.source)
             asked = is_here & is_finite
             is_unknown |= is_here & ~is_finite
+            if not asked.any():
+                continue
             x0, y0, x1, y1 = values if asked.all() else [value[asked] for value in values]
             crossed[asked] = self.places.crossed(line, expr.line, (x0, y0, x1, y1), expr.direction)
         return pa.array(crossed, mask=is_unknown)
@@ -266,16 +269,22 @@ class Recorder:
             self.spent_s[predicate] = self.clock() - began
 
     def _write_zones(self, evaluator: RowEvaluator, picture: _Picture, rows: Integers, fresh: int) -> None:
+        inside, outside = k.R_BITS + picture.inside, k.R_BITS + picture.outside
+        x, y = (floats_of(evaluator.column(operand))[fresh:] for operand in picture.operands[1:])
+        is_here = evaluator.is_from(picture.source)[fresh:]
+        if picture.raster is None and not (is_here & np.isfinite(x) & np.isfinite(y)).any():
+            # Zones that no point is asked about need not be drawn: their frame's size may be unknown.
+            rows[:, inside] = 0
+            rows[:, outside] = np.where(is_here, 0, _ALL_BITS)
+            return
         try:
             if picture.raster is None:
                 picture.raster = Raster([self._polygon(name) for name in picture.zones])
         except PatternError as error:
             self._fail(picture, error)
-            rows[:, [k.R_BITS + picture.inside, k.R_BITS + picture.outside]] = 0
+            rows[:, [inside, outside]] = 0
             return
-        x, y = (floats_of(evaluator.column(operand))[fresh:] for operand in picture.operands[1:])
-        is_here = evaluator.is_from(picture.source)[fresh:]
-        picture.raster.mark(x, y, is_here, rows, k.R_BITS + picture.inside, k.R_BITS + picture.outside)
+        picture.raster.mark(x, y, is_here, rows, inside, outside)
 
     def _polygon(self, name: str) -> Any:
         zone = self.places.zones[name]

@@ -32,6 +32,7 @@ from events import (
     with_envelope,
 )
 from patterns.errors import PatternError, StateError
+from patterns.loading import is_stage_file, yaml_files
 from patterns.stages import Derived, Stage, StageRun, load_stages
 from store import Log, Subscription
 from vian.clock import utc_now
@@ -62,6 +63,11 @@ def stages_of(paths: Sequence[Path]) -> list[Stage]:
     if twice:
         raise WrongUsage(f"two stages are named {twice[0]}. Next: rename one")
     return stages
+
+
+def stages_beside(rules: Path) -> list[Path]:
+    """The files of stages among the rules of a file or folder."""
+    return [file for file in yaml_files(rules) if is_stage_file(file)]
 
 
 def check_fits(stage: Stage, catalogue: Catalogue) -> None:

@@ -67,7 +67,7 @@ def upgrade() -> None:
         "Tracked objects stood or went together for a while: a group formed, changed, went on or dissolved.",
         sa.Column("stage", sa.Text, nullable=False, comment="name of the stage that derived it"),
         sa.Column(
-            "group", sa.BigInteger, nullable=False, comment="number of the group, unique within its source and stage"
+            "group_id", sa.BigInteger, nullable=False, comment="number of the group, unique within its source and stage"
         ),
         sa.Column(
             "members",

@@ -135,7 +135,7 @@ class StandingGroups:
     def _event(self, group: _Group, time_us: int, members: list[int]) -> GroupSeen:
         x, y, radius = group.place
         return GroupSeen(
-            time=nearest_time(time_us), stage=self.name, group=group.number, members=len(members),
+            time=nearest_time(time_us), stage=self.name, group_id=group.number, members=len(members),
             tracks="+".join(map(str, members)), began_at=nearest_time(group.began_us), x=x, y=y, radius_px=radius,
         )  # fmt: skip
 
