@@ -162,6 +162,7 @@ class Lane:
         self.places = Places(self.zones, self.lines, site)
         self.recorder = Recorder(self.layout, self.places, self.texts, clock)
         self.columns: dict[str, Kind] = {}
+        self._kept: list[str] = []
         self.tails = Tails(0, {})
         self._shape = Shape(0, 0, 0, 0)
         self.state = new_state(self._shape)
@@ -277,11 +278,16 @@ class Lane:
         """Says which columns are to be kept of rows; with rows waiting, these have them all."""
         columns = {name: kind for each in self.members for name, kind in self._columns_of(each.packed).items()}
         self.columns = dict(sorted(columns.items()))
+        kept = {name for each in self.members for name in self._columns_behind_filter(each.packed)}
+        self._kept = [name for name in self.columns if name in kept]
 
     def _columns_of(self, packed: Packed) -> dict[str, Kind]:
-        names = (column_names((*packed.predicates, *packed.slots)) | set(packed.bound.keys)) - _IMPLIED
-        kinds = {name: kind for name, kind in packed.bound.columns.items() if name in names}
+        kinds = self._columns_behind_filter(packed)
         return kinds if packed.where is None else {**_reads(packed), **kinds}
+
+    def _columns_behind_filter(self, packed: Packed) -> dict[str, Kind]:
+        names = (column_names((*packed.predicates, *packed.slots)) | set(packed.bound.keys)) - _IMPLIED
+        return {name: kind for name, kind in packed.bound.columns.items() if name in names}
 
     def looked_back_at(self, packed: Packed) -> dict[str, Kind]:
         """The columns that the rule reads of earlier rows."""
@@ -496,6 +502,8 @@ class Lane:
             for at in range(len(self.members)):
                 self._fail(at, error)
             return None
+        # What the filter alone has read is not kept: rows that waited over a restart do not have it either.
+        rows = rows.select([STREAM, TIME, SEQUENCE, *self._kept])
         return rows if holds.all() else rows.filter(pa.array(holds))
 
     def _grouped(self, rows: pa.Table) -> _Grouped:

@@ -84,6 +84,7 @@ def letter_rule(
     partition: str = "key",
     more: str = "",
     subset: str = "",
+    source: str = "letter",
 ) -> Rule:
     """A rule over the type `letter`; a variable that DEFINE leaves out takes rows of its own letter."""
     clauses = [
@@ -100,7 +101,7 @@ def letter_rule(
     body = "\n    ".join(clause for clause in clauses if clause)
     return parse_rule(
         f"rule: sample\nversion: 1\ntitle: sample\nseverity: info\n{more}\n"
-        f"match: |\n  SELECT * FROM letter MATCH_RECOGNIZE (\n    {body})\n"
+        f"match: |\n  SELECT * FROM {source} MATCH_RECOGNIZE (\n    {body})\n"
     )
 
 

@@ -60,6 +60,7 @@ def rules(draw: st.DrawFn, name: str = "sample") -> BoundRule | None:
     rule = letter_rule(
         rendered(tree), ", ".join(define), ", ".join(each.format(*pair) for each in chosen), skip, within, partition,
         more=f"time: {{lateness: {LATENESS_US} us}}\n{emit}",
+        source=draw(st.sampled_from(["letter", "letter", "(SELECT * FROM letter WHERE v >= 0 OR flag)"])),
     )  # fmt: skip
     note(rule.match)
     return bound_unless_empty(rule.model_copy(update={"rule": name}))
