@@ -14,8 +14,10 @@ import pyarrow as pa
 from numpy.typing import NDArray
 from sqlglot import exp
 
+from patterns import guards
 from patterns.bound import How, Register
 from patterns.duck import Aggregated, Remembered, sql_of
+from patterns.guards import Guard
 from patterns.navigation import (
     AggregateReading,
     MatchNumber,
@@ -25,12 +27,9 @@ from patterns.navigation import (
     offset_of,
 )
 from patterns.ordered import OrderedRows
-from patterns.registers import UNSET, at_offset, listed
+from patterns.registers import listed
 from patterns.symbols import Symbols
 from patterns.syntax import Scalar
-
-Guard = Callable[[Sequence[Any], Sequence[Any]], Any]
-"""(values of the row at hand, registers) -> the value; None is NULL."""
 
 _COMPARED: dict[type[exp.Expr], Callable[[Any, Any], bool]] = {
     exp.EQ: lambda left, right: left == right, exp.NEQ: lambda left, right: left != right,
@@ -170,14 +169,14 @@ class _Builder:
         tree = self.taken_apart(self.symbols.checked("DEFINE", scalar))
         self.check_condition(tree)
         predicates: list[exp.Expr] = []
-        guards: list[exp.Expr] = []
+        dependent: list[exp.Expr] = []
         for part in _conjuncts(tree):
             is_row_local = all(name in self.leaf_types for name in _names(part))
-            (predicates if is_row_local else guards).append(part)
-        whole = [self.lifted(part) for part in guards]
+            (predicates if is_row_local else dependent).append(part)
+        whole = [self.lifted(part) for part in dependent]
         self.predicates.append(tuple(sql_of(part) for part in predicates))
         self.reads.append(frozenset(at for part in whole for name in _names(part) for at in self.place(name).registers))
-        self.guards.append(_every([self.compiled(part) for part in whole]) if whole else None)
+        self.guards.append(guards.every([self.compiled(part) for part in whole]) if whole else None)
 
     def check_condition(self, tree: exp.Expr) -> None:
         kind = self.symbols.check_types("DEFINE", self.scalar, tree, self.types())
@@ -292,7 +291,9 @@ class _Builder:
         self, register: Register, kind: str, leaf: exp.Expr | None = None, anchor: tuple[Any, ...] | None = None
     ) -> exp.Expr:
         index = self.register_of(register)
-        return self.new_place(_Place(kind, _read_register(register, index), frozenset((index,)), leaf, anchor))
+        return self.new_place(
+            _Place(kind, guards.register(register.how, register.offset, index), frozenset((index,)), leaf, anchor)
+        )
 
     def register_of(self, register: Register) -> int:
         return self.registers.setdefault(register, len(self.registers))
@@ -415,20 +416,20 @@ class _Builder:
         if isinstance(node, exp.Column):
             return self.place(node.name).read
         if not _names(node):
-            return _constant(self.symbols.duck.value(sql_of(node)))
+            return guards.constant(self.symbols.duck.value(sql_of(node)))
         if isinstance(node, exp.And | exp.Or):
             parts = [self.compiled(node.this), self.compiled(node.expression)]
-            return _every(parts) if isinstance(node, exp.And) else _any(parts)
+            return guards.every(parts) if isinstance(node, exp.And) else guards.some(parts)
         if isinstance(node, exp.Not):
             return _negation(self.compiled(node.this))
         if isinstance(node, exp.Is) and isinstance(node.expression, exp.Null):
-            return _is_null(self.compiled(node.this))
+            return guards.is_null(self.compiled(node.this))
         if isinstance(node, exp.Between) and not node.args.get("symmetric"):
             low = exp.GTE(this=node.this.copy(), expression=node.args["low"].copy())
             high = exp.LTE(this=node.this.copy(), expression=node.args["high"].copy())
-            return _every([self.compiled(low), self.compiled(high)])
+            return guards.every([self.compiled(low), self.compiled(high)])
         if isinstance(node, exp.In) and node.expressions:
-            return _any([self.compiled(exp.EQ(this=node.this.copy(), expression=item.copy()))
+            return guards.some([self.compiled(exp.EQ(this=node.this.copy(), expression=item.copy()))
                          for item in node.expressions])  # fmt: skip
         if type(node) in _COMPARED:
             below = self.compiled(node.this), self.compiled(node.expression)
@@ -497,18 +498,6 @@ def _read_slot(slot: int) -> Guard:
     return lambda values, registers: values[slot]
 
 
-def _read_register(register: Register, index: int) -> Guard:
-    if register.offset:
-        at = at_offset(register.how, register.offset)
-        return lambda values, registers: at(registers[index])
-
-    def read(values: Sequence[Any], registers: Sequence[Any]) -> Any:
-        value = registers[index]
-        return None if value is UNSET else value
-
-    return read
-
-
 def _average(total: int, count: int) -> Guard:
     return lambda values, registers: None if not registers[count] else registers[total] / registers[count]
 
@@ -517,51 +506,12 @@ def _plain(value: Any) -> Any:
     return value.value if isinstance(value, Nested) else value
 
 
-def _constant(value: Any) -> Guard:
-    return lambda values, registers: value
-
-
-def _every(parts: list[Guard]) -> Guard:
-    if len(parts) == 1:
-        return parts[0]
-
-    def every(values: Sequence[Any], registers: Sequence[Any]) -> Any:
-        result: bool | None = True
-        for part in parts:
-            value = part(values, registers)
-            if value is False:
-                return False
-            if value is None:
-                result = None
-        return result
-
-    return every
-
-
-def _any(parts: list[Guard]) -> Guard:
-    def some(values: Sequence[Any], registers: Sequence[Any]) -> Any:
-        result: bool | None = False
-        for part in parts:
-            value = part(values, registers)
-            if value is True:
-                return True
-            if value is None:
-                result = None
-        return result
-
-    return some
-
-
 def _negation(part: Guard) -> Guard:
     def negated(values: Sequence[Any], registers: Sequence[Any]) -> Any:
         value = part(values, registers)
         return None if value is None else not value
 
     return negated
-
-
-def _is_null(part: Guard) -> Guard:
-    return lambda values, registers: part(values, registers) is None
 
 
 def _comparison(compare: Callable[[Any, Any], bool], left: Guard, right: Guard, ask: Guard) -> Guard:

@@ -29,11 +29,12 @@ def compile_guard(expr: Expr, slots: dict[Expr, int], registers: dict[Expr, int]
         places: The zones and lines.
     """
     if expr in registers:
-        return _register(expr, registers[expr])
+        how, offset = (expr.which, expr.offset) if isinstance(expr, Reference) else ("", 0)
+        return register(how, offset, registers[expr])
     if expr in slots:
         return _slot(slots[expr])
     if isinstance(expr, Const):
-        return _constant(expr.value)
+        return constant(expr.value)
     below = [compile_guard(part, slots, registers, places) for part in _operands(expr)]
     if isinstance(expr, InZone):
         return _in_zone(expr, below, places)
@@ -54,9 +55,10 @@ def _operands(expr: Expr) -> tuple[Expr, ...]:
     return expr.operands
 
 
-def _register(expr: Expr, index: int) -> Guard:
-    if isinstance(expr, Reference) and expr.offset:
-        at = at_offset(expr.which, expr.offset)
+def register(how: str, offset: int, index: int) -> Guard:
+    """What a match remembers; NULL where nothing was written to it yet."""
+    if offset:
+        at = at_offset(how, offset)
         return lambda row, registers: at(registers[index])
 
     def read(row: Sequence[Any], registers: Sequence[Any]) -> Any:
@@ -70,7 +72,8 @@ def _slot(index: int) -> Guard:
     return lambda row, registers: row[index]
 
 
-def _constant(value: Value) -> Guard:
+def constant(value: Any) -> Guard:
+    """The same value whatever the row."""
     return lambda row, registers: value
 
 
@@ -94,8 +97,12 @@ def _strict(operator: Callable[..., Any], below: list[Guard]) -> Guard:
     return call
 
 
-def _and(below: list[Guard]) -> Guard:
-    def every(row: Sequence[Any], registers: Sequence[Any]) -> Any:
+def every(below: list[Guard]) -> Guard:
+    """AND with SQL's three values."""
+    if len(below) == 1:
+        return below[0]
+
+    def is_every(row: Sequence[Any], registers: Sequence[Any]) -> Any:
         result: bool | None = True
         for part in below:
             value = part(row, registers)
@@ -105,11 +112,13 @@ def _and(below: list[Guard]) -> Guard:
                 result = None
         return result
 
-    return every
+    return is_every
 
 
-def _or(below: list[Guard]) -> Guard:
-    def some(row: Sequence[Any], registers: Sequence[Any]) -> Any:
+def some(below: list[Guard]) -> Guard:
+    """OR with SQL's three values."""
+
+    def is_some(row: Sequence[Any], registers: Sequence[Any]) -> Any:
         result: bool | None = False
         for part in below:
             value = part(row, registers)
@@ -119,11 +128,11 @@ def _or(below: list[Guard]) -> Guard:
                 result = None
         return result
 
-    return some
+    return is_some
 
 
-def _is_null(below: list[Guard]) -> Guard:
-    (operand,) = below
+def is_null(operand: Guard) -> Guard:
+    """IS NULL, which is itself never NULL."""
     return lambda row, registers: operand(row, registers) is None
 
 
@@ -271,7 +280,7 @@ _OPERATORS: dict[str, Callable[..., Any]] = {
     "not": lambda value: not value, "least": _least, "greatest": _greatest,
 }  # fmt: skip
 _LENIENT: dict[str, Callable[[list[Guard]], Guard]] = {
-    "and": _and, "or": _or, "is_null": _is_null, "coalesce": _coalesce, "case": _case,
+    "and": every, "or": some, "is_null": lambda below: is_null(*below), "coalesce": _coalesce, "case": _case,
 }  # fmt: skip
 
 
