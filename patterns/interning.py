@@ -21,6 +21,11 @@ class Texts:
         self.known = list(known)
         self._numbers = {text: number for number, text in enumerate(self.known)}
 
+    def clear(self) -> None:
+        """Forgets them all."""
+        self.known = []
+        self._numbers = {}
+
     def numbers(self, column: Any) -> Integers:
         """For each row its text's number; any number where the text is NULL."""
         encoded = column.dictionary_encode()

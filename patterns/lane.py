@@ -668,7 +668,7 @@ class Lane:
 
     def _forget_all(self) -> None:
         self.keys = Keys(self.input.kinds)
-        self.texts.__init__()  # type: ignore[misc]
+        self.texts.clear()
         failures = self.state.failures
         self.state = new_state(self._shape)._replace(failures=failures)
         self.tails.clear()
