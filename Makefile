@@ -22,11 +22,11 @@ demo: $(VENV)/installed  ## real video to events, situations, an answer in SQL a
 	$(BIN)/vian demo
 
 test: $(VENV)/installed  ## the whole test suite on a real PostgreSQL
-	$(BIN)/python -m patterns.compiling
+	$(BIN)/python -m patterns.engine.compiling
 	$(BIN)/python -m pytest --numprocesses auto --dist worksteal $(PYTEST_ARGS)
 
 nightly: $(VENV)/installed  ## 100,000 random cases of the laws of patterns
-	$(BIN)/python -m patterns.compiling
+	$(BIN)/python -m patterns.engine.compiling
 	VIAN_PATTERN_EXAMPLES=100000 $(BIN)/python -m pytest tests/patterns -k "against or split" --timeout 0 \
 	  --numprocesses auto --dist worksteal $(PYTEST_ARGS)
 

@@ -277,7 +277,7 @@ def _first_ever() -> tuple[float, float]:
     with tempfile.TemporaryDirectory() as folder:
         environment = {"NUMBA_CACHE_DIR": str(Path(folder))}
         first, _ = _started(_FIRST_MATCH, environment)
-        compiling, _ = _started([sys.executable, "-m", "patterns.compiling"], environment)
+        compiling, _ = _started([sys.executable, "-m", "patterns.engine.compiling"], environment)
     return first, compiling
 
 

@@ -27,7 +27,7 @@ from benchmarks.measuring import keep
 from benchmarks.pattern_costs import beside_duckdb, bound, costs, run, worst_cases
 from benchmarks.pattern_rows import RULES, rows, zone_rules
 from patterns import BoundRule, RuleSetRun
-from patterns.compiling import compile_kernel
+from patterns.engine.compiling import compile_kernel
 
 __all__ = ["RULES", "Measured", "main", "measured", "rows", "run_all"]
 

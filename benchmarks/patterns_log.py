@@ -40,7 +40,7 @@ from events import (
     schema_of,
 )
 from patterns import parse_rule
-from patterns.compiling import compile_kernel
+from patterns.engine.compiling import compile_kernel
 from patterns.processor import Processor, ProcessorLimits, deploy
 from store import Log, open_log
 

@@ -9,14 +9,16 @@
 
     query("SELECT ... FROM t MATCH_RECOGNIZE (...)", {"t": table})      # any table, among ordinary SQL
 
-The road is parse, bind, compile, run: `parser` reads the SQL, `binder` resolves
-its names, `program` compiles the pattern, and `running` feeds the `engine` with
+The road is parse, bind, compile, run: `language` reads the SQL, `binding` resolves
+its names and compiles the pattern, and `engine` runs it over
 rows as they become final. What is refused, is refused with its line and column.
 """
 
-from patterns.binder import bind
-from patterns.bound import BoundRule
-from patterns.cases import TestResult, run_tests
+from patterns.binding.binder import bind
+from patterns.binding.bound import BoundRule
+from patterns.engine.ruleset import RuleSetRun, RuleStatus
+from patterns.engine.running import GivenUp, Outcome, RuleRun, match
+from patterns.engine.situations import EventRange, EventRef, Match, situation_id
 from patterns.errors import (
     FrameSizeUnknown,
     LimitError,
@@ -28,17 +30,15 @@ from patterns.errors import (
     SkipError,
     StateError,
 )
-from patterns.expanding import expand
-from patterns.findings import Finding
-from patterns.geometry import FrameSize, Line, Zone
+from patterns.files.expanding import expand
+from patterns.files.loading import load_rule, load_rules, parse_rule
+from patterns.files.rule import Rule
 from patterns.limits import Limits
-from patterns.lint import check, lint
-from patterns.loading import load_rule, load_rules, parse_rule
-from patterns.queries import query
-from patterns.rule import Rule
-from patterns.ruleset import RuleSetRun, RuleStatus
-from patterns.running import GivenUp, Outcome, RuleRun, match
-from patterns.situations import EventRange, EventRef, Match, situation_id
+from patterns.linting.findings import Finding
+from patterns.linting.lint import check, lint
+from patterns.querying.queries import query
+from patterns.scene.geometry import FrameSize, Line, Zone
+from patterns.tools.cases import TestResult, run_tests
 
 __all__ = [
     "BoundRule",

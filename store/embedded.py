@@ -14,6 +14,7 @@ import logging
 import os
 import re
 import shutil
+import signal
 import subprocess
 import time
 import warnings
@@ -77,26 +78,30 @@ class EmbeddedServer:
             server = get_server(pgdata, start=False, postgres_version=MAJOR)
             # The wheel's own lock file is one for the whole machine, which a second user may not open.
             server._lock = type(server._lock)(self.data_dir / "pg.users.lock")
+            was_held = self._server is server
             try:
-                with _explained(f"PostgreSQL does not start in {pgdata}", pgdata):
+                with _explained(f"PostgreSQL does not start in {pgdata}", pgdata), _signals_waiting():
                     with server._lock:
                         _forget_the_dead(pgdata)
                     _start(server)
+                    if not was_held:
+                        server.__enter__()
+                        self._server = server
             except BaseException:
+                if not was_held:
+                    self.close()
                 _forget_if_unused(server)
                 raise
-            if self._server is not server:
-                server.__enter__()
-            self._server = server
 
     def close(self) -> None:
         """Stop the server if nobody else uses it; who was killed does not."""
-        server, self._server = self._server, None
-        if server is not None:
-            with server._lock:
-                _forget_dead_users(self.data_dir / "pg")
-            server.__exit__(None, None, None)
-            _forget_if_unused(server)
+        with _signals_waiting():
+            server, self._server = self._server, None
+            if server is not None:
+                with server._lock:
+                    _forget_dead_users(self.data_dir / "pg")
+                server.__exit__(None, None, None)
+                _forget_if_unused(server)
 
 
 def _check_name(data_dir: Path) -> None:
@@ -210,6 +215,16 @@ def _is_server(pid: str, pgdata: Path) -> bool:
         return True  # another user's: leave it to PostgreSQL, which looks closer
     except (ValueError, psutil.Error):
         return False
+
+
+@contextmanager
+def _signals_waiting() -> Iterator[None]:
+    """Let Ctrl-C and SIGTERM wait, here and in `pg_ctl`: half a start or stop leaves a server that nobody stops."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 @contextmanager

@@ -8,11 +8,11 @@ from dataclasses import dataclass, field
 from datetime import datetime
 
 from events import Segment
-from patterns.backtest import CONTROL_TYPES, Backtest
-from patterns.bound import BoundRule
+from patterns.binding.bound import BoundRule
+from patterns.engine.situations import Match
 from patterns.processor import ProcessorLimits
 from patterns.processor.passes import site_at
-from patterns.situations import Match
+from patterns.tools.backtest import CONTROL_TYPES, Backtest
 from store import Log
 
 

@@ -4,8 +4,8 @@ import re
 from pathlib import Path
 
 from events import RuleDeployed, decode, events_of
-from patterns.loading import load_rule, parse_rule
-from patterns.rule import Rule
+from patterns.files.loading import load_rule, parse_rule
+from patterns.files.rule import Rule
 from store import Log
 from vian.errors import WrongUsage
 

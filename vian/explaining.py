@@ -24,17 +24,17 @@ from events import (
     events_of,
     with_envelope,
 )
-from patterns.binder import bind
-from patterns.bound import BoundRule
+from patterns.binding.binder import bind
+from patterns.binding.bound import BoundRule
+from patterns.binding.inputs import rows_of
+from patterns.binding.rows import SEQUENCE, StreamNumbers
+from patterns.engine.situations import as_python
 from patterns.errors import PatternError
-from patterns.inputs import rows_of
-from patterns.loading import parse_rule
-from patterns.places import Places
+from patterns.files.loading import parse_rule
+from patterns.files.rule import Rule
 from patterns.processor import readable_by
-from patterns.rows import SEQUENCE, StreamNumbers
-from patterns.rule import Rule
-from patterns.site import SITE_TYPES, Site
-from patterns.situations import as_python
+from patterns.scene.places import Places
+from patterns.scene.site import SITE_TYPES, Site
 from store import Log
 from vian.errors import WrongUsage
 from vian.evidence.selection import SITUATION_MIN, epoch_of

@@ -95,7 +95,7 @@ def query(log: Log, sql: str, scope: Scope = Scope()) -> pa.Table:
 
 def _with_clauses(log: Log, sql: str, scope: Scope) -> pa.Table:
     from patterns.errors import RuleError  # half a second that queries without the clause need not wait for
-    from patterns.queries import answer, take_apart
+    from patterns.querying.queries import answer, take_apart
 
     try:
         plan = take_apart(sql)

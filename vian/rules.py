@@ -6,15 +6,15 @@ from datetime import timedelta
 from pathlib import Path
 from typing import Literal
 
-from patterns.binder import bind
+from patterns.binding.binder import bind
+from patterns.binding.strata import with_situations
 from patterns.errors import RuleError
-from patterns.expanding import expand
+from patterns.files.expanding import expand
+from patterns.files.loading import load_rule, load_rules, rule_files, yaml_files
+from patterns.files.rule import Rule
+from patterns.language.parser import parse
 from patterns.limits import Limits
-from patterns.loading import load_rule, load_rules, rule_files, yaml_files
-from patterns.parser import parse
 from patterns.processor import OpenMatches, ProcessorLimits, deploy, schemas
-from patterns.rule import Rule
-from patterns.strata import with_situations
 from store import Log
 from vian.clock import utc_now
 from vian.errors import WrongUsage

@@ -32,7 +32,7 @@ from events import (
     with_envelope,
 )
 from patterns.errors import PatternError, StateError
-from patterns.loading import is_stage_file, yaml_files
+from patterns.files.loading import is_stage_file, yaml_files
 from patterns.stages import Derived, Stage, StageRun, load_stages
 from store import Log, Subscription
 from vian.clock import utc_now

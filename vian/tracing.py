@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from patterns.geometry import FrameSize, Line, Zone
-from patterns.places import Places
-from patterns.rule import Rule
-from patterns.site import Site
+from patterns.files.rule import Rule
+from patterns.scene.geometry import FrameSize, Line, Zone
+from patterns.scene.places import Places
+from patterns.scene.site import Site
 from store import Log
 from vian.drawings import Dot, Drawing, Mark, Point, Shape
 from vian.footage import footage_of

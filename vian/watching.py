@@ -12,11 +12,11 @@ from time import monotonic
 
 import structlog
 
-from patterns.binder import bind
+from patterns.binding.binder import bind
 from patterns.errors import PatternError
-from patterns.loading import load_rule, rule_files
+from patterns.files.loading import load_rule, rule_files
+from patterns.files.rule import Rule
 from patterns.processor import Processor, ProcessorLimits, readable_by, retire, standing
-from patterns.rule import Rule
 from store import Log
 from vian.clock import utc_now
 from vian.parts import Part, stepping

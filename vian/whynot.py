@@ -13,14 +13,14 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from events import Segment, UnknownType, decode, with_envelope
-from patterns.bound import BoundRule
+from patterns.binding.bound import BoundRule
 from patterns.durations import MICROSECOND
-from patterns.emitter import Emitter
+from patterns.engine.emitter import Emitter
+from patterns.engine.situations import Match, as_microseconds
+from patterns.files.rule import EmitSettings
 from patterns.processor import ProcessorLimits, schemas
-from patterns.rule import EmitSettings
-from patterns.situations import Match, as_microseconds
-from patterns.telling import told_time
-from patterns.whynot import Decided, Past, Question
+from patterns.tools.telling import told_time
+from patterns.tools.whynot import Decided, Past, Question
 from store import Log
 from vian.backtesting import Span, backtest_after, decided_at, position_before, segments_of
 

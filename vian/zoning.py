@@ -30,12 +30,12 @@ from events import (
     events_of,
 )
 from patterns.errors import MatchError
-from patterns.geometry import Line, Zone
-from patterns.ground import Calibration
-from patterns.loading import read_document, read_text
-from patterns.rule import Name
-from patterns.site import shape_of
-from patterns.text import Document, did_you_mean
+from patterns.files.loading import read_document, read_text
+from patterns.files.rule import Name
+from patterns.language.text import Document, did_you_mean
+from patterns.scene.geometry import Line, Zone
+from patterns.scene.ground import Calibration
+from patterns.scene.site import shape_of
 from store import Log
 from vian.errors import WrongUsage
 from vian.version import VERSION

@@ -9,10 +9,10 @@ reluctant one, repeats: fewest repetitions complete first.
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from patterns.expressions import Call, Column, Const, Expr, Kind, Reference, is_row_local
+from patterns.binding.expressions import Call, Column, Const, Expr, Kind, Reference, is_row_local
 from patterns.flink.exclusive import exclude_each_other
 from patterns.flink.refusing import Refuse
-from patterns.syntax import Concatenation, Pattern, Repetition, Variable
+from patterns.language.syntax import Concatenation, Pattern, Repetition, Variable
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +88,7 @@ class Elements:
 
 
 def elements_of(pattern: Pattern, shown: Mapping[str, str]) -> Elements:
-    """The elements of a pattern in which `patterns.portable` finds nothing to refuse.
+    """The elements of a pattern in which `patterns.flink.portable` finds nothing to refuse.
 
     Args:
         pattern: The tree of PATTERN.

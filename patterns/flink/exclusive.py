@@ -3,7 +3,18 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
-from patterns.expressions import COMPARISONS, Aggregate, Call, Const, Expr, Kind, OneOf, Reference, is_strict, walk
+from patterns.binding.expressions import (
+    COMPARISONS,
+    Aggregate,
+    Call,
+    Const,
+    Expr,
+    Kind,
+    OneOf,
+    Reference,
+    is_strict,
+    walk,
+)
 
 _OPPOSITE = {"=": "=", "<>": "<>", "<": ">", "<=": ">=", ">": "<", ">=": "<="}
 _ORDERINGS = {"<": {"<"}, "<=": {"<", "="}, ">": {">"}, ">=": {">", "="}, "=": {"="}, "<>": {"<", ">"}}

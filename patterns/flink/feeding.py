@@ -9,9 +9,10 @@ from dataclasses import dataclass
 
 import pyarrow as pa
 
-from patterns.bound import BoundRule
+from patterns.binding.bound import BoundRule
+from patterns.binding.expressions import Column, Kind, reach
+from patterns.binding.inputs import Input
 from patterns.durations import microseconds
-from patterns.expressions import Column, Kind, reach
 from patterns.flink.names import TYPES, later_sql, quoted, text
 from patterns.flink.options import Options
 from patterns.flink.refusing import Refuse
@@ -19,8 +20,7 @@ from patterns.flink.scalars import Place, operand_sql, sql
 from patterns.flink.shapes import Shapes
 from patterns.flink.tables import ROWTIME, create_table, kafka, table_columns
 from patterns.flink.timers import TIMER, Timer, moved_by
-from patterns.inputs import Input
-from patterns.syntax import Query
+from patterns.language.syntax import Query
 
 STREAM, ARM = "stream", "arm"
 _MOST_OFTEN_READ = ("time", "sequence")

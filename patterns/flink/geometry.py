@@ -1,4 +1,4 @@
-"""Zones and lines as SQL arithmetic: the formulae of `patterns.geometry`, unrolled over their corners.
+"""Zones and lines as SQL arithmetic: the formulae of `patterns.scene.geometry`, unrolled over their corners.
 
 Doubles throughout. A line is asked exactly as there. A zone is asked by crossing
 numbers; where a point lies nearer to a slanted side than a double tells apart,
@@ -9,8 +9,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from patterns.flink.names import number, text
-from patterns.geometry import Direction, FrameSize, Points
-from patterns.ground import Calibration
+from patterns.scene.geometry import Direction, FrameSize, Points
+from patterns.scene.ground import Calibration
 
 LARGEST = "1.7976931348623157E308"
 
@@ -60,7 +60,7 @@ def crosses_line(points: Points, step: Sequence[str], direction: Direction) -> s
 
 @dataclass(frozen=True, slots=True)
 class Ground:
-    """Where a pixel lies on the ground, in SQL: the formulae of `patterns.ground`, step by step.
+    """Where a pixel lies on the ground, in SQL: the formulae of `patterns.scene.ground`, step by step.
 
     Attributes:
         calibration: Of the source.

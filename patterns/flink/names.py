@@ -2,7 +2,7 @@
 
 import math
 
-from patterns.expressions import Const, Kind
+from patterns.binding.expressions import Const, Kind
 
 MILLISECOND_US = 1_000
 _UNITS = (("DAY", 86_400_000_000), ("HOUR", 3_600_000_000), ("MINUTE", 60_000_000), ("SECOND", 1_000_000))

@@ -1,10 +1,10 @@
-"""Saying no, with the place and the reason from the one table of `patterns.portable`."""
+"""Saying no, with the place and the reason from the one table of `patterns.flink.portable`."""
 
 from dataclasses import dataclass
 from typing import NoReturn, Protocol
 
-from patterns.portable import PORTABLE
-from patterns.text import Passage
+from patterns.flink.portable import PORTABLE
+from patterns.language.text import Passage
 
 
 class Refuse(Protocol):

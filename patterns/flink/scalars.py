@@ -1,4 +1,4 @@
-"""Scalar expressions as Flink SQL, value for value what `patterns.columns` and `patterns.guards` compute.
+"""Scalar expressions as Flink SQL, value for value as the engine computes them.
 
 Times stay times (microseconds), durations are whole microseconds in a BIGINT. A division by zero, the root of
 a negative number and a point that is not finite are NULL, as everywhere. PREV, which Flink lacks, becomes the
@@ -8,7 +8,7 @@ match's own earlier row where that is the same row: a match's rows follow each o
 from dataclasses import dataclass, replace
 from typing import NoReturn
 
-from patterns.expressions import (
+from patterns.binding.expressions import (
     Aggregate,
     Call,
     Classifier,

@@ -8,30 +8,30 @@ from dataclasses import dataclass
 
 import pyarrow as pa
 
-from patterns.binder import bind
-from patterns.bound import BoundRule
+from patterns.binding.binder import bind
+from patterns.binding.bound import BoundRule
+from patterns.binding.expressions import Call, Expr, conjuncts, is_constant
 from patterns.durations import microseconds
 from patterns.errors import RuleError
-from patterns.expressions import Call, Expr, conjuncts, is_constant
+from patterns.files.rule import Rule
 from patterns.flink.elements import check_decided, elements_of, ends_in_order
 from patterns.flink.feeding import STREAM, Feed
 from patterns.flink.holding import Held, held_sql
 from patterns.flink.names import MILLISECOND_US, interval, later_sql, quoted
 from patterns.flink.options import Options
+from patterns.flink.portable import refusals
 from patterns.flink.refusing import Refuser, refusal
 from patterns.flink.scalars import Place, sql
 from patterns.flink.shapes import Shapes
 from patterns.flink.tables import ROWTIME
 from patterns.flink.timers import timed, timer_of
-from patterns.geometry import FrameSize
-from patterns.ground import Calibration
-from patterns.parser import parse
-from patterns.pattern_variables import pattern_variables
-from patterns.places import Places
-from patterns.portable import refusals
-from patterns.rule import Rule
-from patterns.site import Site
-from patterns.syntax import Query, SkipMode
+from patterns.language.parser import parse
+from patterns.language.pattern_variables import pattern_variables
+from patterns.language.syntax import Query, SkipMode
+from patterns.scene.geometry import FrameSize
+from patterns.scene.ground import Calibration
+from patterns.scene.places import Places
+from patterns.scene.site import Site
 
 FIRED = "fired_at_ms"
 """The time attribute of a match, for further steps in event time."""

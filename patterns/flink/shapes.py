@@ -9,14 +9,14 @@ from typing import NoReturn
 
 import numpy as np
 
+from patterns.binding.expressions import Column, Crosses, Expr, InZone, OnGround, Shift, is_row_local, rebuilt, walk
 from patterns.errors import FrameSizeUnknown
-from patterns.expressions import Column, Crosses, Expr, InZone, OnGround, Shift, is_row_local, rebuilt, walk
+from patterns.files.rule import Rule
 from patterns.flink import geometry
-from patterns.geometry import Line, Zone
-from patterns.ground import Calibration
-from patterns.places import Places
-from patterns.rule import Rule
-from patterns.site import CALIBRATION
+from patterns.scene.geometry import Line, Zone
+from patterns.scene.ground import Calibration
+from patterns.scene.places import Places
+from patterns.scene.site import CALIBRATION
 
 Placed = InZone | Crosses | OnGround
 

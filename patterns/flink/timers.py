@@ -9,11 +9,11 @@ between those of the pattern, or by loops, so that they stand between no two row
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from patterns.bound import BoundRule
-from patterns.expressions import Call, Column, Const, Expr, Kind, Reference, conjuncts
+from patterns.binding.bound import BoundRule
+from patterns.binding.expressions import Call, Column, Const, Expr, Kind, Reference, conjuncts
+from patterns.binding.guards import constant_value
 from patterns.flink.elements import Element, Elements
 from patterns.flink.refusing import Refuse
-from patterns.guards import constant_value
 
 TIMER = "timer"
 """The column that tells virtual rows (1) from events (0)."""

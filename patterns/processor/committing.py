@@ -13,13 +13,13 @@ from functools import cache
 from typing import Any, Literal
 
 from events import Draft, Segment, StreamName
+from patterns.engine.situations import EventRef, Match
 from patterns.errors import PatternError, RuleTooSlow
 from patterns.processor.deploying import Service, retirement_draft
 from patterns.processor.members import Finding, Member
 from patterns.processor.passes import Pass
 from patterns.processor.saving import Mark, SavedState, mark_bytes, mark_name, mark_of, state_bytes, state_name
 from patterns.processor.writing import drafts_of
-from patterns.situations import EventRef, Match
 from store import Checkpoint, Log
 
 

@@ -28,12 +28,12 @@ from events import (
     events_of,
     schema_of,
 )
+from patterns.binding.strata import rules_read, strata, with_situations
 from patterns.errors import PatternError, RuleError
-from patterns.expanding import expand
-from patterns.loading import parse_rule
+from patterns.files.expanding import expand
+from patterns.files.loading import parse_rule
+from patterns.files.rule import Rule
 from patterns.processor.writing import SOURCE, producer_of
-from patterns.rule import Rule
-from patterns.strata import rules_read, strata, with_situations
 from store import Log
 
 OpenMatches = Literal["dropped", "finished"]

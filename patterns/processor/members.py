@@ -3,13 +3,13 @@
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from patterns.bound import BoundRule
+from patterns.binding.bound import BoundRule
+from patterns.engine.running import Outcome
+from patterns.engine.situations import EventRef, Match
+from patterns.files.rule import Rule
 from patterns.processor.deploying import Service
 from patterns.processor.missed import Missed
 from patterns.processor.saving import Mark
-from patterns.rule import Rule
-from patterns.running import Outcome
-from patterns.situations import EventRef, Match
 
 
 @dataclass(slots=True)

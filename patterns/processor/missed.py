@@ -6,10 +6,10 @@ from datetime import datetime
 from typing import Literal
 
 from events import Draft, RuleMissed, StreamName, batch_of, encode
+from patterns.engine.running import GivenUp
+from patterns.engine.situations import EventRef
+from patterns.files.rule import Rule
 from patterns.processor.writing import SOURCE, json_of, producer_of
-from patterns.rule import Rule
-from patterns.running import GivenUp
-from patterns.situations import EventRef
 
 What = Literal["late_events", "future_events", "partial_matches"]
 

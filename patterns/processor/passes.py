@@ -30,17 +30,17 @@ from events import (
     decode,
     events_of,
 )
+from patterns.binding.inputs import SITUATION
+from patterns.binding.rows import Units
 from patterns.durations import microseconds
+from patterns.engine.ruleset import Outcomes, RuleSetRun, RuleStatus
+from patterns.engine.running import Outcome
+from patterns.engine.situations import EventRef, as_microseconds
 from patterns.errors import RuleTooSlow
-from patterns.inputs import SITUATION
 from patterns.processor.limits import ProcessorLimits
 from patterns.processor.members import Finding, Member
 from patterns.processor.saving import SavedState
-from patterns.rows import Units
-from patterns.ruleset import Outcomes, RuleSetRun, RuleStatus
-from patterns.running import Outcome
-from patterns.site import SITE_TYPES
-from patterns.situations import EventRef, as_microseconds
+from patterns.scene.site import SITE_TYPES
 from store import Log
 
 logger = logging.getLogger(__name__)

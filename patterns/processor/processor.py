@@ -23,9 +23,12 @@ from itertools import islice
 import pyarrow as pa
 
 from events import Segment, SituationDetected, SituationShadowed, decode
-from patterns.binder import bind
+from patterns.binding.binder import bind
+from patterns.binding.strata import rules_read, with_situations
 from patterns.durations import microseconds
+from patterns.engine.situations import as_microseconds
 from patterns.errors import PatternError, StateError
+from patterns.files.rule import Rule
 from patterns.processor.committing import Committer, Overtaken, Work
 from patterns.processor.deploying import (
     RULE_EVENTS,
@@ -48,9 +51,6 @@ from patterns.processor.saving import (
     stored_state,
 )
 from patterns.processor.writing import SOURCE, producer_of
-from patterns.rule import Rule
-from patterns.situations import as_microseconds
-from patterns.strata import rules_read, with_situations
 from store import Log, LogUnavailable, Subscription
 
 logger = logging.getLogger(__name__)
@@ -116,8 +116,7 @@ class Processor:
     @property
     def position(self) -> int:
         """Every rule has seen the log up to here, and what it found is in the log."""
-        leading = self._main.position if self._work is None else self._committed
-        return min([leading, *(each.position for each in self._joining)])
+        return self._position
 
     @property
     def rules(self) -> list[tuple[Service, Rule]]:
@@ -162,11 +161,11 @@ class Processor:
         except RunOneByOne as error:
             self._one_by_one_to = max(error.position, self._one_by_one_to)
             self._is_stale, self._work = True, None
-            return Step(self._committed, False, situations)
+            return Step(self._position, False, situations)
         except Overtaken as error:
             logger.warning("%s; going on from the log", error)
             self._is_stale, self._work = True, None
-            return Step(self._committed, False, 0)
+            return Step(self._position, False, 0)
         return Step(self.position, is_caught_up and not self._joining, situations)
 
     def catch_up(self) -> int:
@@ -220,6 +219,7 @@ class Processor:
             if key not in running:
                 self._admit(_given_service(rule, self._services.get(key), after=at))
         self._want()
+        self._note_position()
         self._main.save_at = self._clock()  # where they began must be in the log soon
 
     def close(self) -> None:
@@ -246,10 +246,10 @@ class Processor:
         # Those that are furthest lead; the others catch up with them.
         self._joining.sort(key=lambda each: each.position)
         self._main = self._joining.pop() if self._joining else self._pass_at(head)
-        self._committed = self._main.position
         self._known_to = head
         self._subscription.position = self._main.position
         self._want()
+        self._note_position()
         self._is_stale = False
 
     def _wanted(self) -> list[Service]:
@@ -415,15 +415,19 @@ class Processor:
         if work is None:
             return 0
         situations = self._commit(work, is_saving=self._is_save_due(work.rules))
-        if work.rules is self._main:
-            self._committed = work.position
         if work.rule_events:
             self._is_stale = True  # a change is taken in whole, or again from the log
             self._change(work.rule_events)
             self._is_stale = False
         self._work = None
         self._joined()
+        self._note_position()
         return situations
+
+    def _note_position(self) -> None:
+        """Once nothing is left to commit: who asks from another thread shall not hear of what is still under way."""
+        if self._work is None:
+            self._position = min(each.position for each in (self._main, *self._joining))
 
     def _change(self, segments: Sequence[Segment]) -> None:
         """Take in what segments, one right behind the other, say about which rules run from here on."""

@@ -22,9 +22,9 @@ from events import (
     encode,
     schema_of,
 )
-from patterns.rule import Rule
-from patterns.running import SITUATIONS_SOURCE
-from patterns.situations import Match
+from patterns.engine.running import SITUATIONS_SOURCE
+from patterns.engine.situations import Match
+from patterns.files.rule import Rule
 
 SOURCE = SITUATIONS_SOURCE
 """Source of deployments, and of situations of a rule that is not partitioned by source."""

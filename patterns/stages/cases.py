@@ -10,11 +10,11 @@ from typing import Any
 import pyarrow as pa
 
 from events import events_of
-from patterns.cases import TestResult, agrees, column_type, csv_records, shown, typed
+from patterns.binding.expressions import Kind
 from patterns.errors import PatternError, RuleError
-from patterns.expressions import Kind
 from patterns.stages.running import derive, reads
 from patterns.stages.settings import Stage
+from patterns.tools.cases import TestResult, agrees, column_type, csv_records, shown, typed
 
 _ENVELOPE = {
     "time": Kind.TIME, "sequence": Kind.INT, "station": Kind.STRING, "source": Kind.STRING, "type": Kind.STRING,

@@ -2,9 +2,9 @@
 
 from pathlib import Path
 
-from patterns.loading import read_document, read_text, stage_files
+from patterns.files.loading import read_document, read_text, stage_files
+from patterns.language.text import Document
 from patterns.stages.settings import Stage
-from patterns.text import Document
 
 
 def load_stages(path: Path) -> list[Stage]:

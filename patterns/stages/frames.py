@@ -12,8 +12,8 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from patterns.expressions import Kind
-from patterns.rows import TIME
+from patterns.binding.expressions import Kind
+from patterns.binding.rows import TIME
 
 READS = {
     "source": Kind.STRING, "track_id": Kind.INT, "x": Kind.FLOAT, "y": Kind.FLOAT, "vx": Kind.FLOAT,

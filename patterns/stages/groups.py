@@ -16,7 +16,7 @@ from scipy.sparse.csgraph import connected_components
 
 from events import EventType, GroupSeen
 from patterns.durations import microseconds
-from patterns.situations import nearest_time
+from patterns.engine.situations import nearest_time
 from patterns.stages.frames import Frame, frames
 from patterns.stages.pairs import near_pairs
 from patterns.stages.settings import Groups

@@ -6,9 +6,9 @@ import pyarrow as pa
 
 from events import EventType, Occupancy
 from patterns.durations import microseconds
+from patterns.engine.situations import nearest_time
 from patterns.errors import FrameSizeUnknown
-from patterns.geometry import FrameSize, in_polygon
-from patterns.situations import nearest_time
+from patterns.scene.geometry import FrameSize, in_polygon
 from patterns.stages.frames import Frame, frames
 from patterns.stages.settings import Zones
 

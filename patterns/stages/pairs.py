@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 
 from events import EventType, PairDistance
 from patterns.durations import microseconds
-from patterns.situations import nearest_time
+from patterns.engine.situations import nearest_time
 from patterns.stages.frames import Frame, frames
 from patterns.stages.settings import Pairs
 

@@ -15,13 +15,9 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from events import EventBatch, EventType, batch_of
-from patterns.clock import Clock
-from patterns.columns import arrow_type
-from patterns.durations import microseconds
-from patterns.errors import StateError
-from patterns.expressions import Kind
-from patterns.geometry import FrameSize
-from patterns.rows import (
+from patterns.binding.columns import arrow_type
+from patterns.binding.expressions import Kind
+from patterns.binding.rows import (
     SEQUENCE,
     STREAM,
     TIME,
@@ -31,8 +27,12 @@ from patterns.rows import (
     newest_by_source,
     normalised,
 )
-from patterns.saved import Saved, decode, encode
-from patterns.situations import as_microseconds
+from patterns.durations import microseconds
+from patterns.engine.clock import Clock
+from patterns.engine.saved import Saved, decode, encode
+from patterns.engine.situations import as_microseconds
+from patterns.errors import StateError
+from patterns.scene.geometry import FrameSize
 from patterns.stages.frames import READS
 from patterns.stages.groups import StandingGroups
 from patterns.stages.occupancy import ZoneCounts

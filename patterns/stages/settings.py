@@ -14,9 +14,9 @@ from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, model_validator
 
 from patterns.durations import microseconds
 from patterns.errors import RuleError
-from patterns.geometry import Zone
-from patterns.rule import CellValue, ColumnName, Duration, Name, TimeSettings
-from patterns.text import Passage
+from patterns.files.rule import CellValue, ColumnName, Duration, Name, TimeSettings
+from patterns.language.text import Passage
+from patterns.scene.geometry import Zone
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Period = Annotated[Duration, Field(gt=timedelta(0))]

@@ -6,9 +6,9 @@ import numpy as np
 import pyarrow as pa
 
 from events import EventType, Tally
+from patterns.binding.rows import TIME
 from patterns.durations import microseconds
-from patterns.rows import TIME
-from patterns.situations import nearest_time
+from patterns.engine.situations import nearest_time
 from patterns.stages.settings import Windows
 
 

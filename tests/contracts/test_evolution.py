@@ -27,7 +27,7 @@ from events import (
     events_of,
     schema_of,
 )
-from patterns.loading import parse_rule
+from patterns.files.loading import parse_rule
 from patterns.processor import Processor
 from store import Log, Projector, verify
 from tests.conftest import Server

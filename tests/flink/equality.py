@@ -14,7 +14,7 @@ import pyarrow.compute as pc
 
 from patterns import Rule, bind, match
 from patterns.flink import Options, translate
-from patterns.site import Site
+from patterns.scene.site import Site
 
 ROOT = Path(__file__).parents[2]
 PYTHON = ROOT / ".flink" / "bin" / "python"

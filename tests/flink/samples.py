@@ -9,10 +9,10 @@ import numpy as np
 import pyarrow as pa
 
 from patterns import FrameSize, Rule, bind
-from patterns.bound import BoundRule
-from patterns.expressions import Call, Column, Const, Expr, Kind, OneOf, walk
-from patterns.ground import Calibration
-from patterns.site import Site
+from patterns.binding.bound import BoundRule
+from patterns.binding.expressions import Call, Column, Const, Expr, Kind, OneOf, walk
+from patterns.scene.ground import Calibration
+from patterns.scene.site import Site
 from tests.patterns.samples import BEGINNING, letter_rule
 
 FRAME: FrameSize = (1000, 1000)

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from patterns import match
-from patterns.binder import bind
+from patterns.binding.binder import bind
 from patterns.flink.tables import create_table
 from tests.flink.equality import json_rows, run_in_flink
 from tests.patterns.samples import SCHEMAS, letter_rule, letters, spans

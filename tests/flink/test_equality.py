@@ -11,12 +11,12 @@ import pytest
 
 from events import load_catalogue
 from patterns import Rule, RuleError, load_rule, load_rules
-from patterns.binder import bind
-from patterns.cases import case_rows, case_site
+from patterns.binding.binder import bind
+from patterns.files.template import templates
 from patterns.flink import translate
 from patterns.processor import schemas
-from patterns.site import Site
-from patterns.template import templates
+from patterns.scene.site import Site
+from patterns.tools.cases import case_rows, case_site
 from tests.flink.equality import PYTHON, ROOT, Case, comparable, ours, theirs
 from tests.flink.samples import random_letters, random_rows, random_rule, random_timer_rule, site_of
 from tests.patterns.samples import SCHEMAS

@@ -10,16 +10,16 @@ import shapely
 
 from events import load_catalogue
 from patterns import Line, Rule, RuleError, Zone, bind, load_rules, parse_rule
-from patterns.expressions import Expr
+from patterns.binding.expressions import Expr
 from patterns.flink import Options, translate
 from patterns.flink.exclusive import exclude_each_other
 from patterns.flink.geometry import crosses_line, in_polygon, of_sources
 from patterns.flink.names import interval, number, quoted, text
-from patterns.geometry import DIRECTIONS, Direction
-from patterns.geometry import crosses_line as ours_crosses_line
-from patterns.ground import Calibration
 from patterns.processor import schemas
-from patterns.site import Site
+from patterns.scene.geometry import DIRECTIONS, Direction
+from patterns.scene.geometry import crosses_line as ours_crosses_line
+from patterns.scene.ground import Calibration
+from patterns.scene.site import Site
 from tests.flink.equality import ROOT
 from tests.flink.samples import site_of
 from tests.patterns.samples import SCHEMAS, letter_rule

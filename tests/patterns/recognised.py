@@ -6,9 +6,9 @@ from typing import Any
 import duckdb
 import pyarrow as pa
 
-from patterns.parser import parse_clause
-from patterns.recognition import recognise
-from patterns.text import Passage
+from patterns.language.parser import parse_clause
+from patterns.language.text import Passage
+from patterns.querying.recognition import recognise
 
 
 def recognised(clause: str, rows: str, columns: str = "id, value", **more: Any) -> pa.Table:

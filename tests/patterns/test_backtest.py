@@ -5,12 +5,12 @@ from typing import Any
 import pytest
 
 from events import Draft, SituationDetected
-from patterns.backtest import CONTROL_TYPES, Backtest, paired
-from patterns.binder import bind
-from patterns.loading import parse_rule
+from patterns.binding.binder import bind
+from patterns.files.loading import parse_rule
+from patterns.files.rule import Rule
 from patterns.processor import Processor, deploy, drafts_of, readable_by, schemas, situation_of
 from patterns.processor.passes import site_at
-from patterns.rule import Rule
+from patterns.tools.backtest import CONTROL_TYPES, Backtest, paired
 from store import Log
 from tests.conftest import MakeLog
 from tests.patterns.walkers import STATION, T0, add_video, end, point, rule, say, situations, walkers

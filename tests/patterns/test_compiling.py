@@ -8,9 +8,10 @@ from typing import Any
 
 import pytest
 
-from patterns import RuleSetRun, bind, compiling, kernel
-from patterns.compiling import compiling_beside
-from patterns.jit import compiled, compiled_with_memory
+from patterns import RuleSetRun, bind
+from patterns.engine import compiling, kernel
+from patterns.engine.compiling import compiling_beside
+from patterns.engine.jit import compiled, compiled_with_memory
 from tests.patterns.samples import SCHEMAS, define_letters, letter_rule
 
 
@@ -41,7 +42,7 @@ def test_a_failure_to_compile_is_told_once_with_the_next_command(
             reaper.join()
     (told,) = caplog.messages
     assert "not compiled (exit 3)" in told
-    assert "Next: python -m patterns.compiling. It said: no compiler here" in told
+    assert "Next: python -m patterns.engine.compiling. It said: no compiler here" in told
 
 
 def test_what_is_not_done_at_the_end_is_ended_and_nothing_is_told(

@@ -9,12 +9,12 @@ from hypothesis import assume, given, note, settings
 from hypothesis import strategies as st
 
 from patterns import Outcome, PatternError, RuleRun, RuleSetRun
-from patterns.bound import BoundRule
-from patterns.compiling import compile_kernel
-from patterns.packed import pack
-from patterns.rows import Units
-from patterns.ruleset import merged
-from tests.patterns.reference import Tree, rendered
+from patterns.binding.bound import BoundRule
+from patterns.binding.rows import Units
+from patterns.engine.compiling import compile_kernel
+from patterns.engine.packed import pack
+from patterns.engine.ruleset import merged
+from tests.patterns.files.reference import Tree, rendered
 from tests.patterns.samples import bound_unless_empty, letter_rows, letter_rule, trees
 from tests.patterns.test_online import LATENESS_US, Record, pieces, records
 

@@ -5,10 +5,10 @@ from datetime import timedelta
 import pytest
 
 from patterns import BoundRule, LimitError, Outcome, RuleSetRun, bind, match
-from patterns.compiling import compile_kernel
+from patterns.binding.rows import Units
+from patterns.engine.compiling import compile_kernel
+from patterns.engine.ruleset import merged
 from patterns.limits import Limits
-from patterns.rows import Units
-from patterns.ruleset import merged
 from tests.patterns.samples import SCHEMAS, define_letters, letter_rows, letter_rule, letters, spans
 
 MORE = "time: {lateness: 0 s}"

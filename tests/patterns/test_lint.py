@@ -5,9 +5,9 @@ from collections.abc import Sequence
 import pytest
 
 from patterns import load_rules, parse_rule
-from patterns.findings import Finding
-from patterns.lint import check, lint
-from patterns.rule import Rule
+from patterns.files.rule import Rule
+from patterns.linting.findings import Finding
+from patterns.linting.lint import check, lint
 from tests.patterns.samples import SCHEMAS
 from tests.patterns.test_shipped_rules import FOLDER
 

@@ -12,9 +12,9 @@ import pytest
 from events import CameraCalibrated, EventType, VideoAdded, ZoneDefined, ZoneRemoved
 from patterns import RuleError, RuleRun, Zone, bind, match, parse_rule
 from patterns.errors import CalibrationUnknown, MatchError
-from patterns.geometry import Line
-from patterns.ground import Calibration
-from patterns.site import Site
+from patterns.scene.geometry import Line
+from patterns.scene.ground import Calibration
+from patterns.scene.site import Site
 from tests.patterns.samples import BEGINNING, SCHEMAS
 
 HEAD = """\

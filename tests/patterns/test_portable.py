@@ -3,8 +3,8 @@
 import pytest
 
 from patterns import RuleError, check, load_rules, parse_rule
-from patterns.parser import parse
-from patterns.portable import PORTABLE, refusals
+from patterns.flink.portable import PORTABLE, refusals
+from patterns.language.parser import parse
 from tests.patterns.samples import SCHEMAS
 from tests.patterns.test_shipped_rules import FOLDER
 

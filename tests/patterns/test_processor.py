@@ -92,6 +92,22 @@ def test_a_new_processor_for_every_segment_finds_the_same(make_log: MakeLog, wal
     assert heads(log) == walked[1]
 
 
+def test_a_position_is_told_only_once_what_was_found_up_to_it_is_in_the_log(make_log: MakeLog) -> None:
+    log = make_log()
+    walkers(log)
+    told: list[int] = []
+
+    def now() -> datetime:
+        told.append(processor.position)
+        return T0
+
+    processor = Processor(log, STATION, [rule()], now=now)
+    before = processor.position
+    while not processor.step().is_caught_up:
+        pass
+    assert told[0] == before < processor.position
+
+
 def test_running_again_over_the_same_log_appends_nothing(walked: tuple[Log, list[Any]]) -> None:
     log, before = walked
     assert Processor(log, STATION, [rule()]).catch_up() == 0

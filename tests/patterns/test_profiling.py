@@ -5,9 +5,9 @@ from pathlib import Path
 import pytest
 
 import patterns
-from patterns.binder import bind
+from patterns.binding.binder import bind
 from patterns.processor import schemas
-from patterns.profiling import PARTS, Function, measured, profiled, shares_of, steps_of
+from patterns.tools.profiling import PARTS, Function, measured, profiled, shares_of, steps_of
 from store import Log
 from tests.patterns.walkers import rule, walkers
 

@@ -3,9 +3,9 @@
 import pytest
 
 from patterns import LimitError, Limits, RuleError, SkipError, bind, match
-from patterns.pattern_parser import parse_pattern
-from patterns.program import Instruction, ProgramTooLarge, compile_pattern, listing, tabulate
-from patterns.text import Passage
+from patterns.binding.program import Instruction, ProgramTooLarge, compile_pattern, listing, tabulate
+from patterns.language.pattern_parser import parse_pattern
+from patterns.language.text import Passage
 from tests.patterns.samples import SCHEMAS, define_letters, letter_rule, letters, spans
 
 LISTINGS = {

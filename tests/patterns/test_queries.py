@@ -5,9 +5,9 @@ import pytest
 
 import patterns
 from patterns import LimitError, Limits, QueryError, query
-from patterns.lexemes import lexemes
-from patterns.queries import take_apart
-from patterns.text import Passage
+from patterns.language.lexemes import lexemes
+from patterns.language.text import Passage
+from patterns.querying.queries import take_apart
 
 LETTERS = pa.table({"id": [1, 2, 3], "x": ["a", "a", "b"]})
 PAIR = "MATCH_RECOGNIZE (ORDER BY id MEASURES LAST(id) AS last PATTERN (A B))"

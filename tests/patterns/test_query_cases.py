@@ -11,7 +11,7 @@ import pyarrow as pa
 import pytest
 
 from patterns import MatchError, RuleError
-from patterns.queries import query
+from patterns.querying.queries import query
 
 CASES = Path(__file__).parent / "cases"
 MARKER = re.compile(r"^--- (\w+) ?(.*)$")

@@ -6,8 +6,8 @@ import pytest
 
 from events import load_catalogue
 from patterns import check, load_rules, run_tests
+from patterns.binding.strata import in_strata, with_situations
 from patterns.processor import schemas
-from patterns.strata import in_strata, with_situations
 
 RULES = in_strata(load_rules(Path(__file__).parent / "cases" / "rules"))
 KNOWN = with_situations(schemas(load_catalogue()), RULES)

@@ -7,8 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from patterns import BoundRule, Match, Outcome, PatternError, RuleRun, RuleSetRun, SkipError, bind
-from patterns.compiling import compile_kernel
-from patterns.ruleset import Outcomes, merged
+from patterns.engine.compiling import compile_kernel
+from patterns.engine.ruleset import Outcomes, merged
 from tests.patterns.samples import SCHEMAS, define_letters, letter_rows, letter_rule, letters
 from tests.patterns.test_online import RULES, Record, pieces, records
 

@@ -10,8 +10,10 @@ import pytest
 
 from events import StreamName, batch_of, encode
 from patterns import parse_rule
+from patterns.engine.ruleset import RuleSetRun
+from patterns.engine.situations import Narrator
 from patterns.errors import MatchError, PatternError
-from patterns.expanding import expand
+from patterns.files.expanding import expand
 from patterns.limits import Limits
 from patterns.processor import (
     Processor,
@@ -23,8 +25,6 @@ from patterns.processor import (
     stored_mark,
     stored_state,
 )
-from patterns.ruleset import RuleSetRun
-from patterns.situations import Narrator
 from store import Checkpoint, Log, LogUnavailable, Transaction
 from tests.conftest import MakeLog
 from tests.patterns.walkers import (
@@ -225,7 +225,7 @@ def test_a_rule_that_raises_anything_is_retired_with_its_position_and_comes_back
 def test_a_rule_that_fails_among_segments_read_together_has_told_what_it_found_before(
     make_log: MakeLog, monkeypatch: pytest.MonkeyPatch, is_compiled: bool
 ) -> None:
-    monkeypatch.setattr("patterns.compiling.is_compiled", lambda: is_compiled)
+    monkeypatch.setattr("patterns.engine.compiling.is_compiled", lambda: is_compiled)
     early = "early AS in_zone(early.x, early.y, 'yard') AND early.sequence < 18"
     breaks = rule("breaks", pattern="(outside inside early?)", skip="SKIP TO LAST early")
     breaks = parse_rule(expand(breaks).replace("DEFINE outside", f"DEFINE {early}, outside"))

@@ -5,8 +5,8 @@ import json
 import pytest
 
 from patterns import Rule, RuleError, bind, parse_rule, run_tests
+from patterns.binding.strata import in_strata, situation_schema, strata, with_situations
 from patterns.processor import Processor, deploy
-from patterns.strata import in_strata, situation_schema, strata, with_situations
 from store import Log
 from tests.patterns.samples import SCHEMAS, letter_rule
 from tests.patterns.test_processor import STATION, T0, rule, situations, walkers

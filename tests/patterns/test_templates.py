@@ -6,10 +6,10 @@ import pytest
 
 from events import load_catalogue
 from patterns import RuleError, bind, check, load_rule, parse_rule, run_tests
-from patterns.expanding import expand
+from patterns.files.expanding import expand
+from patterns.files.reference import reference
+from patterns.files.template import FOLDER, Template, new_rule, templates
 from patterns.processor import schemas
-from patterns.reference import reference
-from patterns.template import FOLDER, Template, new_rule, templates
 
 SCHEMAS = schemas(load_catalogue())
 each_template = pytest.mark.parametrize("template", templates().values(), ids=lambda each: each.template)
@@ -205,4 +205,4 @@ def test_an_error_in_the_filled_in_sql_names_the_template() -> None:
 def test_the_reference_is_up_to_date() -> None:
     page = Path(__file__).parents[2] / "docs" / "reference" / "templates.md"
     wanted = reference(templates().values())
-    assert page.read_text() == wanted, "Next: python -m patterns.reference > docs/reference/templates.md"
+    assert page.read_text() == wanted, "Next: python -m patterns.files.reference > docs/reference/templates.md"

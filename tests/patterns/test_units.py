@@ -5,7 +5,7 @@ import pytest
 from events import load_catalogue
 from patterns import check, parse_rule
 from patterns.processor import schemas
-from patterns.quantities import parse_quantity
+from patterns.scene.quantities import parse_quantity
 
 SCHEMAS = schemas(load_catalogue())
 HEAD = """\

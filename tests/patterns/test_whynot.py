@@ -9,13 +9,13 @@ import pyarrow as pa
 import pytest
 
 from patterns import bind, parse_rule
-from patterns.bound import BoundRule
-from patterns.emitter import Emitter
+from patterns.binding.bound import BoundRule
+from patterns.engine.emitter import Emitter
+from patterns.engine.running import RuleRun
 from patterns.errors import FrameSizeUnknown
-from patterns.rule import EmitSettings
-from patterns.running import RuleRun
-from patterns.site import Site
-from patterns.whynot import Answer, Decided, Past, Question, SubjectUnclear, Verdict, default_window, why_not
+from patterns.files.rule import EmitSettings
+from patterns.scene.site import Site
+from patterns.tools.whynot import Answer, Decided, Past, Question, SubjectUnclear, Verdict, default_window, why_not
 from tests.patterns.samples import BEGINNING, SCHEMAS
 
 SIZES = {"gate": (100, 100)}

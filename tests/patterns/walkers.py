@@ -17,8 +17,8 @@ from events import (
     encode,
     events_of,
 )
-from patterns.loading import parse_rule
-from patterns.rule import Rule
+from patterns.files.loading import parse_rule
+from patterns.files.rule import Rule
 from store import Log
 
 T0 = datetime(2026, 1, 1, 10, tzinfo=UTC)

@@ -4,10 +4,12 @@ import json
 import os
 import pwd
 import shutil
+import signal
 import subprocess
 import sys
 from pathlib import Path
 
+import psutil
 import pytest
 
 from store import BadRequest, Log, LogUnavailable, WrongMajor, open_log, verify
@@ -184,6 +186,22 @@ def test_a_pid_file_that_names_another_process_does_not_keep_the_server_down(dat
             kill_server(data_dir)
         log.revive()
         assert verify(log).is_sound
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_whoever_interrupts_a_start_leaves_no_server(data_dir: Path, number: int) -> None:
+    with open_log(data_dir=data_dir):
+        pass
+    program = (
+        "import pathlib, signal, store; signal.signal(signal.SIGTERM, signal.default_int_handler); "
+        f"store.open_log(data_dir=pathlib.Path({str(data_dir)!r}))"
+    )
+    process = psutil.Popen([sys.executable, "-c", program], cwd=ROOT, start_new_session=True, stderr=subprocess.PIPE)
+    while not any(each.name() == "pg_ctl" for each in process.children(recursive=True)):
+        assert process.poll() is None
+    os.killpg(process.pid, number)  # as a terminal does: the whole group
+    assert b"KeyboardInterrupt" in process.communicate()[1]
+    assert not is_running(data_dir)
 
 
 def test_two_processes_may_make_and_use_one_directory_at_once(data_dir: Path) -> None:

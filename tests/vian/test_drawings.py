@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from patterns.geometry import Zone
-from patterns.ground import Calibration
-from patterns.loading import parse_rule
-from patterns.site import CALIBRATION, Site, Version
+from patterns.files.loading import parse_rule
+from patterns.scene.geometry import Zone
+from patterns.scene.ground import Calibration
+from patterns.scene.site import CALIBRATION, Site, Version
 from vian.drawings import Dot, Drawing, Image, Mark, Shape, drawn
 from vian.tracing import place_of, shapes_of
 

@@ -8,15 +8,15 @@ import pyarrow as pa
 import typer
 
 from events import load_catalogue
-from patterns.cases import TestResult, run_tests
-from patterns.compiling import compiling_beside
+from patterns.binding.strata import with_situations
+from patterns.engine.compiling import compiling_beside
 from patterns.errors import RuleError
-from patterns.findings import Finding, finding_of
-from patterns.lint import check
-from patterns.loading import load_rule
+from patterns.files.loading import load_rule
+from patterns.files.rule import Rule
+from patterns.linting.findings import Finding, finding_of
+from patterns.linting.lint import check
 from patterns.processor import Processor, schemas
-from patterns.rule import Rule
-from patterns.strata import with_situations
+from patterns.tools.cases import TestResult, run_tests
 from store import Projector
 from vian import options
 from vian.clock import utc_now

@@ -13,13 +13,13 @@ import pyarrow.csv
 import typer
 
 from events import SituationDetected, SituationShadowed, decode, events_of
-from patterns.backtest import Pair, paired
-from patterns.binder import bind
-from patterns.bound import BoundRule
+from patterns.binding.binder import bind
+from patterns.binding.bound import BoundRule
+from patterns.engine.situations import Match
+from patterns.files.rule import Rule
 from patterns.processor import SOURCE, ProcessorLimits, readable_by, situation_of
 from patterns.processor.writing import producer_of
-from patterns.rule import Rule
-from patterns.situations import Match
+from patterns.tools.backtest import Pair, paired
 from store import Log
 from vian import options
 from vian.backtesting import Backtested, Span, backtested

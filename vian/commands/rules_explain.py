@@ -9,10 +9,10 @@ from typing import Annotated, Any
 
 import typer
 
-from patterns.binder import bind
+from patterns.binding.binder import bind
 from patterns.errors import PatternError
 from patterns.processor import readable_by
-from patterns.telling import told_time
+from patterns.tools.telling import told_time
 from store import Log
 from vian import options
 from vian.commands.rules_why_not import Draw

@@ -7,11 +7,11 @@ from typing import Annotated
 import typer
 
 from events import decode, events_of, load_catalogue
+from patterns.files.rule import Rule
 from patterns.flink import Options, translate
-from patterns.geometry import FrameSize
 from patterns.processor import schemas
-from patterns.rule import Rule
-from patterns.site import SITE_TYPES, Site
+from patterns.scene.geometry import FrameSize
+from patterns.scene.site import SITE_TYPES, Site
 from store import Log
 from vian import options
 from vian.chosen_rule import chosen_rule, rule_file

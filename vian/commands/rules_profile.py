@@ -9,12 +9,12 @@ from typing import Annotated, Any
 import typer
 
 from events import Segment
-from patterns.backtest import CONTROL_TYPES
-from patterns.binder import bind
-from patterns.bound import BoundRule
+from patterns.binding.binder import bind
+from patterns.binding.bound import BoundRule
+from patterns.files.rule import Rule
 from patterns.processor import schemas
-from patterns.profiling import PARTS, Cost, measured, profiled, steps_of
-from patterns.rule import Rule
+from patterns.tools.backtest import CONTROL_TYPES
+from patterns.tools.profiling import PARTS, Cost, measured, profiled, steps_of
 from store import Log
 from vian import options
 from vian.chosen_rule import chosen_rule

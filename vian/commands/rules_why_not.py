@@ -10,12 +10,12 @@ from typing import Annotated, Any
 import typer
 
 from events import StreamName
-from patterns.binder import bind
-from patterns.bound import BoundRule
+from patterns.binding.binder import bind
+from patterns.binding.bound import BoundRule
 from patterns.durations import parse_duration
+from patterns.engine.situations import EventRef
 from patterns.processor import readable_by
-from patterns.situations import EventRef
-from patterns.whynot import Answer, Past, Question, SubjectUnclear, TriedRow, default_window, why_not
+from patterns.tools.whynot import Answer, Past, Question, SubjectUnclear, TriedRow, default_window, why_not
 from store import Log
 from vian import options
 from vian.chosen_rule import chosen_rule

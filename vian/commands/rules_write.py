@@ -11,18 +11,18 @@ import yaml
 from rich.text import Text
 
 from events import load_catalogue
-from patterns.cases import TestResult, run_tests
+from patterns.binding.strata import with_situations
 from patterns.errors import PatternError, Place, RuleError
-from patterns.expanding import expand
-from patterns.findings import Finding, finding_of
-from patterns.lint import lint as lint_rules
-from patterns.loading import is_stage_file, load_rule, parse_rule
+from patterns.files.expanding import expand
+from patterns.files.loading import is_stage_file, load_rule, parse_rule
+from patterns.files.rule import Rule
+from patterns.files.template import Template, new_rule, templates
+from patterns.linting.findings import Finding, finding_of
+from patterns.linting.lint import lint as lint_rules
 from patterns.processor import schemas
-from patterns.rule import Rule
 from patterns.stages.cases import run_stage_tests
 from patterns.stages.files import load_stage
-from patterns.strata import with_situations
-from patterns.template import Template, new_rule, templates
+from patterns.tools.cases import TestResult, run_tests
 from vian import options
 from vian.errors import WorldFailed, WrongUsage
 from vian.output import Output, counted, printable

@@ -14,7 +14,7 @@ from typing import Annotated
 
 import typer
 
-from patterns.compiling import compiling_beside
+from patterns.engine.compiling import compiling_beside
 from store import Log, Projector
 from vian import logs, options
 from vian.api import bind, create_app, serving

@@ -7,8 +7,8 @@ import typer
 from pydantic import TypeAdapter, ValidationError
 
 from events import source_name
-from patterns.geometry import Line, Units, Zone
-from patterns.rule import Name
+from patterns.files.rule import Name
+from patterns.scene.geometry import Line, Units, Zone
 from store import Log
 from vian import options
 from vian.clock import utc_now

@@ -23,7 +23,7 @@ import numpy.typing as npt
 
 from extractors.media import Frame
 from extractors.video import frames
-from patterns.rule import Rule
+from patterns.files.rule import Rule
 from store import Log
 from vian.errors import WorldFailed
 from vian.querying import query

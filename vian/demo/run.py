@@ -17,9 +17,9 @@ from time import monotonic
 import httpx
 import pyarrow as pa
 
-from patterns.compiling import compiling_beside
+from patterns.engine.compiling import compiling_beside
+from patterns.files.rule import Rule
 from patterns.processor import Processor, deploy
-from patterns.rule import Rule
 from store import Log, Projector, Verification, verify
 from sync.daemon import Daemon
 from sync.grants import Grants, token_hash

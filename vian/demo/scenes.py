@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from importlib.resources import as_file, files
 
 from extractors.scene import CROSSING_LINE, LOITER_ZONE
-from patterns.geometry import Line, Zone
-from patterns.loading import load_rule
-from patterns.rule import Rule
+from patterns.files.loading import load_rule
+from patterns.files.rule import Rule
+from patterns.scene.geometry import Line, Zone
 from vian.demo.clip import Clip, Origin
 
 RULES = ("zone-intrusion", "loitering", "line-crossing")

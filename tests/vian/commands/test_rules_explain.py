@@ -9,7 +9,7 @@ import pytest
 
 from events import SituationDetected, VideoAdded
 from extractors import video as video_files
-from patterns.loading import parse_rule
+from patterns.files.loading import parse_rule
 from patterns.processor import Processor, deploy
 from store import Log
 from tests.patterns.walkers import STATION, T0, add_video, end, point, rule, say, situations

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 import yaml
 
-from patterns.loading import load_rule
-from patterns.template import templates
+from patterns.files.loading import load_rule
+from patterns.files.template import templates
 from tests.vian.conftest import Run
 from tests.vian.test_rules import HIGH, SHIPPED, write_rule
 

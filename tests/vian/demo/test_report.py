@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from events import MatchedRange, SituationDetected, StreamName, TrackPoint, VideoAdded, batch_of
-from patterns.rule import Rule
+from patterns.files.rule import Rule
 from store import Log
 from tests.vian.clips import write_clip
 from tests.vian.demo.conftest import Stage

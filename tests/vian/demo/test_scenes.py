@@ -3,8 +3,8 @@ from pathlib import Path
 import pytest
 
 from events import source_name
-from patterns.lint import check
-from patterns.loading import parse_rule
+from patterns.files.loading import parse_rule
+from patterns.linting.lint import check
 from patterns.processor import deploy, schemas
 from store import Log
 from tests.vian.samples import START

@@ -1,0 +1,78 @@
+"""A situation's title: the rule's text with names in braces, and values in their place."""
+
+import re
+from datetime import UTC, datetime, timedelta
+from string import Formatter
+
+from patterns.binding.expressions import Kind
+from patterns.files.rule import Rule
+
+Scalar = bool | int | float | str | datetime | timedelta | None
+
+_LONG_NUMBER = re.compile(r"\d{4,}")
+_SAMPLES: dict[Kind, Scalar] = {
+    Kind.BOOL: True, Kind.INT: -1, Kind.FLOAT: 1.0, Kind.STRING: "a", Kind.TIME: datetime(2026, 1, 1, tzinfo=UTC),
+    Kind.DURATION: timedelta(seconds=1), Kind.NULL: None,
+}  # fmt: skip
+
+
+def title_fields(rule: Rule) -> list[str]:
+    """The names between braces in the rule's title.
+
+    Raises:
+        RuleError: A brace that is not closed, or more than a name and a format between braces.
+    """
+    names = []
+    try:
+        for _, name, spec, conversion in Formatter().parse(rule.title):
+            if name is None:
+                continue
+            if _LONG_NUMBER.search(spec or ""):
+                raise ValueError(f"a width or precision has at most 3 digits, got {spec!r}")
+            if not name.isidentifier() or conversion or "{" in (spec or ""):
+                raise ValueError(f"wanted {{name}} or {{name:format}}, got {{{name}}}")
+            names.append(name)
+    except ValueError as error:
+        raise rule.error(f"title: {error}", "title") from error
+    return names
+
+
+def check_formats(rule: Rule, kinds: dict[str, Kind]) -> None:
+    """Checks that each value can be shown in the format that the title gives it.
+
+    Raises:
+        RuleError: A format that values of the type do not have.
+    """
+    try:
+        filled_title(rule.title, {name: _SAMPLES[kind] for name, kind in kinds.items()})
+    except (ValueError, OverflowError) as error:
+        raise rule.error(f"title: {error}", "title") from error
+
+
+def filled_title(title: str, values: dict[str, Scalar]) -> str:
+    """The title with each `{name}` or `{name:format}` in its place; NULL is shown as `?`."""
+    return title.format_map(_AllShown(values))
+
+
+class _AllShown(dict[str, Scalar]):
+    """Values by name; each is made ready to be shown when it is asked for."""
+
+    def __getitem__(self, name: str) -> "_Shown":  # type: ignore[override]
+        return _Shown(super().__getitem__(name))
+
+
+class _Shown:
+    """A value as a title shows it."""
+
+    def __init__(self, value: Scalar) -> None:
+        self.value = value
+
+    def __format__(self, spec: str) -> str:
+        value = self.value
+        if value is None:
+            return "?"
+        if isinstance(value, timedelta):
+            return f"{value.total_seconds():{spec or 'g'}} s"
+        if spec:
+            return format(value, spec)
+        return value.isoformat().replace("+00:00", "Z") if isinstance(value, datetime) else str(value)

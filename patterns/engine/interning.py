@@ -1,0 +1,156 @@
+"""Numbers for what is not a number: partition keys, and texts that a match remembers."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+from numpy.typing import NDArray
+
+from patterns.binding.expressions import Kind
+from patterns.engine.kernel import Integers, intern
+
+_NOT_A_NUMBER = np.array([np.nan]).view(np.int64)[0]
+
+
+class Texts:
+    """A number for each text, in the order in which they were met."""
+
+    def __init__(self, known: Sequence[str] = ()) -> None:
+        self.known = list(known)
+        self._numbers = {text: number for number, text in enumerate(self.known)}
+
+    def clear(self) -> None:
+        """Forgets them all."""
+        self.known = []
+        self._numbers = {}
+
+    def numbers(self, column: Any) -> Integers:
+        """For each row its text's number; any number where the text is NULL."""
+        encoded = column.dictionary_encode()
+        if len(encoded.dictionary) == 0:
+            return np.zeros(len(column), dtype=np.int64)
+        texts = encoded.dictionary.to_pylist()
+        known = list(map(self._numbers.get, texts))
+        if None in known:
+            known = [self.number(text) if number is None else number for text, number in zip(texts, known, strict=True)]
+        table = np.array(known, dtype=np.int64)
+        indices = pc.fill_null(encoded.indices, 0) if encoded.indices.null_count else encoded.indices
+        numbers: Integers = table[indices.to_numpy()]
+        return numbers
+
+    def number(self, text: str) -> int:
+        """The text's number."""
+        number = self._numbers.get(text)
+        if number is None:
+            number = self._numbers[text] = len(self.known)
+            self.known.append(text)
+        return number
+
+
+def as_words(column: Any, kind: Kind, texts: Texts) -> Integers:
+    """The column's values as words of 64 bits: numbers, the bits of floats, numbers of texts; 0 or so where NULL."""
+    if kind is Kind.STRING:
+        return texts.numbers(column)
+    if kind is Kind.NULL:
+        return np.zeros(len(column), dtype=np.int64)
+    if kind is Kind.BOOL:
+        column = column.cast(pa.int64())
+    if column.null_count:
+        column = pc.fill_null(column, pa.scalar(0, column.type))
+    values = column.to_numpy()
+    words: Integers = values.view(np.int64)
+    return words
+
+
+def as_values(words: Integers, is_null: NDArray[np.bool_], kind: Kind, texts: Texts) -> list[Any]:
+    """The values that stand in words; None where NULL."""
+    if kind is Kind.STRING:
+        known = texts.known
+        return [None if null else known[word] for word, null in zip(words.tolist(), is_null.tolist(), strict=True)]
+    words = np.ascontiguousarray(words)
+    values: list[Any] = (
+        words.view(np.float64) if kind is Kind.FLOAT else words != 0 if kind is Kind.BOOL else words
+    ).tolist()
+    if is_null.any():
+        values = [None if null else value for value, null in zip(values, is_null.tolist(), strict=True)]
+    return values
+
+
+class Keys:
+    """A number for each partition: a row of partition columns. NULL equals NULL."""
+
+    def __init__(self, kinds: Sequence[Kind]) -> None:
+        self.kinds = tuple(kinds)
+        self.texts = Texts()
+        self.count = 0
+        self.table = np.empty((1024, len(self.kinds) + 1), dtype=np.int64)
+        self._slots = np.full(4096, -1, dtype=np.int64)
+
+    def numbers(self, columns: Sequence[Any | Integers], rows: int) -> Integers:
+        """For each row its partition's number; a column is Arrow's, or numbers of `texts`."""
+        keys = np.empty((rows, len(self.kinds) + 1), dtype=np.int64)
+        keys[:, -1] = 0
+        for at, (column, kind) in enumerate(zip(columns, self.kinds, strict=True)):
+            keys[:, at] = column if isinstance(column, np.ndarray) else self._words(column, kind)
+            if not isinstance(column, np.ndarray) and column.null_count:
+                is_null = np.asarray(column.is_null())
+                keys[is_null, at] = 0
+                keys[:, -1] |= is_null.astype(np.int64) << at
+        return self._interned(keys)
+
+    def numbers_of(self, table: Integers, texts: Texts) -> Integers:
+        """The numbers of another's keys, whose texts are these."""
+        keys = table.copy()
+        for at, kind in enumerate(self.kinds):
+            if kind is Kind.STRING and len(keys):
+                lookup = np.array([self.texts.number(text) for text in texts.known] or [0], dtype=np.int64)
+                keys[:, at] = lookup[keys[:, at]]
+        return self._interned(keys)
+
+    def key(self, number: int) -> tuple[Any, ...]:
+        """The partition columns of a partition."""
+        return self.keys(np.array([number]))[0]
+
+    def keys(self, numbers: Integers) -> list[tuple[Any, ...]]:
+        """The partition columns of partitions."""
+        words = self.table[numbers]
+        columns = [
+            as_values(words[:, at], words[:, -1] >> at & 1 != 0, kind, self.texts) for at, kind in enumerate(self.kinds)
+        ]
+        return list(zip(*columns, strict=True)) if columns else [()] * len(numbers)
+
+    def kept(self, numbers: Integers) -> "Keys":
+        """Keys that know only these partitions, numbered in this order."""
+        kept = Keys(self.kinds)
+        keys = self.table[numbers]
+        for at, kind in enumerate(self.kinds):
+            if kind is Kind.STRING:
+                used, inverse = np.unique(keys[:, at], return_inverse=True)
+                table = [kept.texts.number(self.texts.known[number]) for number in used.tolist()]
+                keys[:, at] = np.array(table, dtype=np.int64)[inverse] if len(table) else 0
+        kept._interned(keys)
+        return kept
+
+    def _words(self, column: Any, kind: Kind) -> Integers:
+        words = as_words(column, kind, self.texts)
+        if kind is Kind.FLOAT:
+            floats = words.view(np.float64) + 0.0
+            words = floats.view(np.int64)
+            words[np.isnan(floats)] = _NOT_A_NUMBER
+        return words
+
+    def _interned(self, keys: Integers) -> Integers:
+        most = self.count + len(keys)
+        if most > len(self.table):
+            grown = np.empty((max(most, 2 * len(self.table)), self.table.shape[1]), dtype=np.int64)
+            grown[: self.count] = self.table[: self.count]
+            self.table = grown
+        if 2 * most > len(self._slots):
+            self._slots = np.full(1 << (4 * most - 1).bit_length(), -1, dtype=np.int64)
+            known = self.table[: self.count].copy()
+            intern(known, self.table, self._slots, 0, np.empty(self.count, dtype=np.int64))
+        numbers = np.empty(len(keys), dtype=np.int64)
+        self.count = intern(keys, self.table, self._slots, self.count, numbers)
+        return numbers

@@ -1,0 +1,1 @@
+"""Rule files and templates: read, filled in, and their test cases run."""

@@ -1,0 +1,1 @@
+"""MATCH_RECOGNIZE as a query over any Arrow table, among SQL that DuckDB runs."""

@@ -1,0 +1,199 @@
+"""DuckDB as the evaluator of expressions that stand in queries: over columns, and over single values.
+
+One `Duck` is one connection without tables of its own, for one clause. Divisions of integers give integers, as the
+standard has it; everything else is as DuckDB says.
+"""
+
+from collections.abc import Mapping, Sequence
+from functools import cache
+from typing import Any
+
+import duckdb
+import pyarrow as pa
+from sqlglot import exp
+
+from patterns.errors import LimitError, MatchError
+from patterns.language.dialect import ClauseDialect
+
+_NO_AGGREGATES = frozenset(
+    ("CUME_DIST", "DENSE_RANK", "FILL", "FIRST", "FIRST_VALUE", "LAG", "LAST", "LAST_VALUE", "LEAD", "NTH_VALUE",
+     "NTILE", "PERCENT_RANK", "RANK", "RANK_DENSE", "ROW_NUMBER")
+)  # fmt: skip
+_MEMO_MOST = 100_000
+
+
+class Duck:
+    """Evaluates SQL expressions. Not for several threads at once."""
+
+    def __init__(self, questions_most: int) -> None:
+        """Opens the connection; `questions_most` is the limit `questions`."""
+        self.questions_most = questions_most
+        self.questions = 0
+        self.connection = duckdb.connect(config={"threads": 1})
+        self.connection.execute("SET integer_division = true; SET TimeZone = 'UTC'")
+
+    def close(self) -> None:
+        """Gives the connection back."""
+        self.connection.close()
+
+    def count_question(self) -> None:
+        """Counts one question about a partial match.
+
+        Raises:
+            LimitError: There were too many.
+        """
+        self.questions += 1
+        if self.questions > self.questions_most:
+            raise LimitError(
+                f"DEFINE asked DuckDB {self.questions} times about partial matches; the limit `questions` is "
+                f"{self.questions_most}. Use COUNT, SUM, MIN, MAX, AVG, comparisons and sums of columns"
+            )
+
+    def columns(self, table: pa.Table, expressions: Sequence[str]) -> list[pa.ChunkedArray]:
+        """For each expression its value at each row of the table.
+
+        Raises:
+            MatchError: An expression fails on a row.
+        """
+        if not expressions:
+            return []
+        wanted = ", ".join(f"{text} AS c{index}" for index, text in enumerate(expressions))
+        found = self.table(f"SELECT {wanted} FROM rows_at_hand", rows_at_hand=table)
+        return list(found.columns)
+
+    def table(self, query: str, **tables: pa.Table) -> pa.Table:
+        """What the query gives; `tables` are its tables by name.
+
+        Raises:
+            MatchError: The query fails on a row.
+        """
+        for name, table in tables.items():
+            self.connection.register(name, table)
+        try:
+            return self.connection.execute(query).to_arrow_table()
+        except duckdb.Error as error:
+            raise MatchError(f"DuckDB: {first_line(error)}") from error
+        finally:
+            for name in tables:
+                self.connection.unregister(name)
+
+    def types(self, expressions: Sequence[str], columns: Mapping[str, str]) -> list[str]:
+        """The type of each expression over columns of these types.
+
+        Raises:
+            duckdb.Error: DuckDB does not take an expression.
+        """
+        if not expressions:
+            return []
+        wanted = ", ".join(f"{text} AS c{index}" for index, text in enumerate(expressions))
+        typed = ", ".join(f"NULL::{kind} AS {quoted(name)}" for name, kind in columns.items()) or "1 AS nothing"
+        query = f"DESCRIBE SELECT {wanted} FROM (SELECT {typed}) WHERE false"
+        return [row[1] for row in self.connection.execute(query).fetchall()]
+
+    def column_types(self, table: pa.Table) -> dict[str, str]:
+        """The type that DuckDB has for each column."""
+        self.connection.register("described", table.slice(0, 0))
+        found = self.connection.execute("DESCRIBE described").fetchall()
+        self.connection.unregister("described")
+        return {row[0]: "INTEGER" if row[1] == '"NULL"' else row[1] for row in found}
+
+    def value(self, expression: str, params: Mapping[str, Any] | None = None) -> Any:
+        """The value of an expression without columns.
+
+        Raises:
+            duckdb.Error: DuckDB does not take it.
+        """
+        found = self.connection.execute(f"SELECT {expression} AS c0", params or None)
+        return found.to_arrow_table().column(0)[0].as_py()
+
+
+class Remembered:
+    """One expression over single values, by DuckDB, once for each combination of them."""
+
+    def __init__(self, duck: Duck, expression: str, columns: Mapping[str, str]) -> None:
+        """Prepares the question; `columns` are the names and types of what the expression reads."""
+        typed = ", ".join(f"CAST(${at} AS {kind}) AS {quoted(name)}"
+                          for at, (name, kind) in enumerate(columns.items(), start=1))  # fmt: skip
+        self.query = f"SELECT {expression} AS c0 FROM (SELECT {typed})"
+        self.duck = duck
+        self.memo: dict[str, Any] = {}
+
+    def __call__(self, values: Sequence[Any]) -> Any:
+        """The expression's value where the columns, in their order, have these.
+
+        Raises:
+            LimitError: DuckDB was asked too often.
+            MatchError: DuckDB cannot evaluate it.
+        """
+        key = repr(values)
+        if key not in self.memo:
+            if len(self.memo) >= _MEMO_MOST:
+                self.memo.clear()
+            self.memo[key] = self.evaluated(values)
+        return self.memo[key]
+
+    def evaluated(self, values: Sequence[Any]) -> Any:
+        """As called, without looking into the memory."""
+        self.duck.count_question()
+        try:
+            found = self.duck.connection.execute(self.query, list(values))
+            return found.to_arrow_table().column(0)[0].as_py()
+        except duckdb.Error as error:
+            raise MatchError(f"DuckDB: {first_line(error)}") from error
+
+
+class Aggregated:
+    """One aggregate over lists of values, one value a row, by DuckDB."""
+
+    def __init__(self, duck: Duck, expression: str, columns: Mapping[str, str]) -> None:
+        """Prepares the question; `columns` are the names and types of what the aggregate reads of a row."""
+        typed = ", ".join(f"CAST({quoted(name)} AS {kind}) AS {quoted(name)}" for name, kind in columns.items())
+        self.query = f"SELECT {expression} AS c0 FROM (SELECT {typed} FROM listed_rows)"
+        self.names = tuple(columns)
+        self.duck = duck
+
+    def __call__(self, lists: Sequence[Sequence[Any]]) -> Any:
+        """The aggregate over rows of these values, column by column.
+
+        Raises:
+            LimitError: DuckDB was asked too often.
+            MatchError: DuckDB cannot evaluate it.
+        """
+        self.duck.count_question()
+        rows = pa.table({name: pa.array(values) for name, values in zip(self.names, lists, strict=True)})
+        return self.duck.table(self.query, listed_rows=rows).column(0)[0].as_py()
+
+
+@cache
+def aggregates() -> frozenset[str]:
+    """The names, in upper case, of DuckDB's aggregate functions."""
+    return _functions("function_type = 'aggregate'") - _NO_AGGREGATES
+
+
+@cache
+def unsteady_functions() -> frozenset[str]:
+    """The names, in upper case, of functions whose value changes from call to call or from query to query."""
+    return _functions("stability <> 'CONSISTENT'")
+
+
+def _functions(condition: str) -> frozenset[str]:
+    with duckdb.connect() as connection:
+        found = connection.execute(
+            f"SELECT DISTINCT upper(function_name) FROM duckdb_functions() WHERE {condition}"
+        ).fetchall()
+    return frozenset(name for (name,) in found)
+
+
+def sql_of(node: exp.Expr) -> str:
+    """The expression as DuckDB reads it."""
+    return node.sql(dialect=ClauseDialect)
+
+
+def quoted(name: str) -> str:
+    """The name as a quoted identifier."""
+    return '"' + name.replace('"', '""') + '"'
+
+
+def first_line(error: Exception) -> str:
+    """What DuckDB complains of, without its drawing."""
+    return str(error).split("\n", 1)[0]

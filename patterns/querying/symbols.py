@@ -1,0 +1,215 @@
+"""The names of one MATCH_RECOGNIZE clause in a query: variables, unions of variables, columns, parameters.
+
+Checks the clause's own names, and turns expressions as written into expressions over the input's columns.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import date, datetime, timedelta
+from typing import Any, NoReturn
+
+import duckdb
+from sqlglot import exp
+
+from patterns.durations import microseconds
+from patterns.language.frames import frames_of
+from patterns.language.navigation import (
+    NAVIGATION,
+    Names,
+    Reader,
+    column_parts,
+    function_name,
+    identifier_key,
+    offset_of,
+)
+from patterns.language.pattern_variables import pattern_variables
+from patterns.language.syntax import Clause, Identifier, Scalar
+from patterns.querying.duck import Duck, aggregates, first_line, quoted, sql_of, unsteady_functions
+
+
+@dataclass(frozen=True)
+class Symbols:
+    """What the names of a clause mean.
+
+    Attributes:
+        clause: The clause.
+        duck: The evaluator.
+        columns: The input's columns by lower-case name: DuckDB tells names apart without regard to case.
+        types: Their types, by name.
+        variables: The pattern's variables, by index.
+        frames: What each variable and each SUBSET stands for.
+        params: Values of parameters, by name.
+    """
+
+    clause: Clause
+    duck: Duck
+    columns: Mapping[str, str]
+    types: Mapping[str, str]
+    variables: tuple[str, ...]
+    frames: Mapping[str, tuple[str, ...]]
+    params: Mapping[str, Any]
+
+    @classmethod
+    def of(cls, clause: Clause, duck: Duck, types: Mapping[str, str], params: Mapping[str, Any]) -> "Symbols":
+        """The symbols of a clause over an input of these columns and types.
+
+        Raises:
+            RuleError: A SUBSET, DEFINE or SKIP TO names a variable that is not there, or one twice.
+        """
+        columns = {name.lower(): name for name in types}
+        frames = frames_of(clause)
+        variables = tuple(dict.fromkeys(name.key for name in pattern_variables(clause.pattern)))
+        return cls(clause, duck, columns, types, variables, frames, params)
+
+    def index(self, variable: str) -> int:
+        """The variable's index."""
+        return self.variables.index(variable)
+
+    def indices(self, frame: tuple[str, ...] | None) -> tuple[int, ...] | None:
+        """The indices of the frame's variables, ascending; None: of all rows."""
+        return None if frame is None else tuple(sorted(self.index(name) for name in frame))
+
+    def reader(self, clause: str, scalar: Scalar) -> Reader:
+        """What finds the readings of an expression of this clause."""
+        names = Names(self.clause.passage, clause, self.frames, aggregates(), self.number)
+        return Reader(names, scalar.at)
+
+    def column(self, identifier: Identifier, clause: str) -> str:
+        """The column of this name.
+
+        Raises:
+            RuleError: There is none.
+        """
+        found = self.columns.get(identifier.name.lower())
+        if found is None:
+            have = ", ".join(self.types)
+            message = f"{clause}: unknown column {identifier.name!r}; there are: {have}"
+            raise self.clause.passage.error(message, identifier.at)
+        return found
+
+    def checked(self, clause: str, scalar: Scalar) -> exp.Expr:
+        """The expression, without parameters.
+
+        Raises:
+            RuleError: It holds a sub-query, a window, a function of no fixed value, or an unknown parameter.
+        """
+        for node in scalar.node.walk():
+            if isinstance(node, exp.Query | exp.Exists | exp.Subquery) or node.args.get("query"):
+                self._fail(clause, "a sub-query must not stand here; join its result outside", node, scalar)
+            if isinstance(node, exp.Star) and not _is_counted(node):
+                self._fail(clause, "* stands in COUNT only", node, scalar)
+            if isinstance(node, exp.Window):
+                self._fail(clause, "a window function must not stand here", node, scalar)
+            if function_name(node) in unsteady_functions():
+                name = function_name(node)
+                message = f"{name} has another value at each call, which no match can be built on"
+                self._fail(clause, message, node, scalar)
+        return scalar.node.transform(lambda node: self._without_parameter(node, clause, scalar))
+
+    def _without_parameter(self, node: exp.Expr, clause: str, scalar: Scalar) -> exp.Expr:
+        if not isinstance(node, exp.Placeholder | exp.Parameter):
+            return node
+        name = node.name
+        if name not in self.params:
+            have = ", ".join(sorted(self.params)) or "none"
+            self._fail(clause, f"unknown parameter {name!r}; there are: {have}", node, scalar)
+        return _literal(self.params[name])
+
+    def over_columns(self, operand: exp.Expr, clause: str, at: int) -> exp.Expr:
+        """The operand with each of its columns as the input's, without the variable before it.
+
+        Raises:
+            RuleError: There is no such column.
+        """
+
+        def resolved(node: exp.Expr) -> exp.Expr:
+            return self._input_column(node, clause, at) if isinstance(node, exp.Column) else node
+
+        return operand.transform(resolved)
+
+    def _input_column(self, column: exp.Expr, clause: str, at: int) -> exp.Expr:
+        parts = column_parts(column)
+        if len(parts) > 1 and (identifier_key(parts[0]) in self.frames or self._is_source(parts[0])):
+            parts = parts[1:]
+        name = self.columns.get(parts[0].name.lower())
+        if name is None:
+            at = offset_of(column, at)
+            if len(parts) > 1:
+                have = ", ".join(self.frames) or "none"
+                message = f"{clause}: unknown pattern variable {parts[0].name!r}; there are: {have}"
+            else:
+                have = ", ".join(self.types)
+                message = f"{clause}: unknown column {parts[0].name!r}; there are: {have}"
+            raise self.clause.passage.error(message, at)
+        found: exp.Expr = exp.Column(this=exp.to_identifier(name, quoted=True))
+        for field in parts[1:]:
+            found = exp.Dot(this=found, expression=exp.to_identifier(field.name, quoted=True))
+        return found
+
+    def _is_source(self, identifier: exp.Expr) -> bool:
+        """Whether this is the input's name, which no variable has."""
+        return self.clause.source is not None and identifier.name.lower() == self.clause.source.lower()
+
+    def key(self, name: Identifier, clause: str) -> tuple[str, str]:
+        """What a place of PARTITION BY or ORDER BY is called, and its SQL over the input's columns.
+
+        Raises:
+            RuleError: It reads a match, or names a column that is not there.
+        """
+        scalar = self.clause.keys.get(name.at)
+        if scalar is None:
+            column = self.column(name, clause)
+            return column, quoted(column)
+        tree = self.checked(clause, scalar)
+        for node in tree.walk():
+            if function_name(node) in NAVIGATION or function_name(node) in aggregates():
+                what = f"{function_name(node)} must not stand here: there is no match to look at yet"
+                self._fail(clause, what, node, scalar)
+        resolved = self.over_columns(tree, clause, scalar.at)
+        self.check_types(clause, scalar, resolved, self.types)
+        return resolved.name if isinstance(resolved, exp.Column) else name.name, sql_of(resolved)
+
+    def number(self, node: exp.Expr) -> int | None:
+        """The value of an expression that is a constant whole number; None if it is none."""
+        if any(isinstance(part, exp.Column | exp.Query) for part in node.walk()):
+            return None
+        try:
+            value = self.duck.value(sql_of(node))
+        except duckdb.Error:
+            return None
+        return value if type(value) is int else None
+
+    def check_types(self, clause: str, scalar: Scalar, expression: exp.Expr, columns: Mapping[str, str]) -> str:
+        """The type of an expression over columns of these types.
+
+        Raises:
+            RuleError: DuckDB does not take it.
+        """
+        try:
+            return self.duck.types([sql_of(expression)], columns)[0]
+        except duckdb.Error as error:
+            raise self.clause.passage.error(f"{clause}: {first_line(error)}", scalar.at) from error
+
+    def _fail(self, clause: str, message: str, node: exp.Expr, scalar: Scalar) -> NoReturn:
+        raise self.clause.passage.error(f"{clause}: {message}", offset_of(node, scalar.at))
+
+
+def _is_counted(star: exp.Star) -> bool:
+    """Whether it is that of COUNT(*), or of v.*, which whoever reads an aggregate judges."""
+    around = star.parent
+    return isinstance(around, exp.Column) or (around is not None and function_name(around) == "COUNT")
+
+
+def _literal(value: Any) -> exp.Expr:
+    """A parameter's value as SQL."""
+    if isinstance(value, timedelta):
+        return exp.Anonymous(this="to_microseconds", expressions=[exp.Literal.number(microseconds(value))])
+    if isinstance(value, datetime | date):
+        return exp.cast(exp.Literal.string(value.isoformat()), _time_type(value))
+    return exp.convert(value)
+
+
+def _time_type(value: datetime | date) -> str:
+    if not isinstance(value, datetime):
+        return "DATE"
+    return "TIMESTAMP" if value.tzinfo is None else "TIMESTAMPTZ"
