@@ -16,6 +16,7 @@ import re
 import shutil
 import signal
 import subprocess
+import threading
 import time
 import warnings
 from collections.abc import Iterator
@@ -36,6 +37,7 @@ MAJOR = 18
 DATABASE = "postgres"
 _START_SECONDS_MAX = 120.0
 _STAGING = "pg.new"
+_ENDING = (signal.SIGINT, signal.SIGTERM)
 
 
 class EmbeddedServer:
@@ -220,11 +222,20 @@ def _is_server(pid: str, pgdata: Path) -> bool:
 @contextmanager
 def _signals_waiting() -> Iterator[None]:
     """Let Ctrl-C and SIGTERM wait, here and in `pg_ctl`: half a start or stop leaves a server that nobody stops."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
+    came: list[int] = []
+    is_main = threading.current_thread() is threading.main_thread()
+    handlers = {number: signal.getsignal(number) for number in _ENDING if is_main}
+    for number in handlers:
+        signal.signal(number, lambda given, _frame: came.append(given))  # another thread may take it
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, _ENDING)  # which programs that are started inherit
     try:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+        if came:
+            signal.raise_signal(came[0])
 
 
 @contextmanager

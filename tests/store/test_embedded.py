@@ -193,11 +193,12 @@ def test_whoever_interrupts_a_start_leaves_no_server(data_dir: Path, number: int
     with open_log(data_dir=data_dir):
         pass
     program = (
-        "import pathlib, signal, store; signal.signal(signal.SIGTERM, signal.default_int_handler); "
+        "import pathlib, signal, threading, store; signal.signal(signal.SIGTERM, signal.default_int_handler); "
+        "threading.Thread(target=threading.Event().wait, daemon=True).start(); "  # it may take the signal
         f"store.open_log(data_dir=pathlib.Path({str(data_dir)!r}))"
     )
     process = psutil.Popen([sys.executable, "-c", program], cwd=ROOT, start_new_session=True, stderr=subprocess.PIPE)
-    while not any(each.name() == "pg_ctl" for each in process.children(recursive=True)):
+    while not is_running(data_dir):
         assert process.poll() is None
     os.killpg(process.pid, number)  # as a terminal does: the whole group
     assert b"KeyboardInterrupt" in process.communicate()[1]
