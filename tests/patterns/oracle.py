@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from tests.patterns.files.reference import Condition, Found, Mapping_, Reference, Row, Seen, Tree, rendered
+from tests.patterns.reference import Condition, Found, Mapping_, Reference, Row, Seen, Tree, rendered
 
 Value = Callable[[Seen], Any]
 

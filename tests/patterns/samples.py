@@ -8,7 +8,7 @@ import pyarrow as pa
 from hypothesis import strategies as st
 
 from patterns import BoundRule, Match, Rule, RuleError, bind, parse_rule
-from tests.patterns.files.reference import Tree
+from tests.patterns.reference import Tree
 
 BEGINNING = datetime(2026, 1, 1, 10, tzinfo=UTC)
 """Time of row 0."""

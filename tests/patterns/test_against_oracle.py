@@ -14,7 +14,7 @@ from patterns.language.text import Passage
 from patterns.querying.recognition import recognise
 from tests.patterns import oracle
 from tests.patterns.examples import examples
-from tests.patterns.files.reference import SkipFails, TooSlow, Tree, children, variables
+from tests.patterns.reference import SkipFails, TooSlow, Tree, children, variables
 from tests.patterns.oracle import Clause, Expression
 
 SKIPS = ["PAST LAST ROW", "PAST LAST ROW", "TO NEXT ROW", "TO NEXT ROW", "TO FIRST", "TO LAST"]

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from patterns import match
 from tests.patterns.examples import examples
-from tests.patterns.files.reference import Tree, has_empty_body, rendered
+from tests.patterns.reference import Tree, has_empty_body, rendered
 from tests.patterns.samples import bound_unless_empty, define_letters, letter_rule, letters, spans, trees
 
 

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from patterns import SkipError, bind, match
 from tests.patterns.examples import examples
-from tests.patterns.files.reference import Condition, Reference, SkipFails, TooSlow, Tree, rendered, variables
+from tests.patterns.reference import Condition, Reference, SkipFails, TooSlow, Tree, rendered, variables
 from tests.patterns.samples import SCHEMAS, bound_unless_empty, classified, letter_rows, letter_rule, partitions, trees
 
 Choice = tuple[str, Condition]

@@ -14,7 +14,7 @@ from patterns.binding.rows import Units
 from patterns.engine.compiling import compile_kernel
 from patterns.engine.packed import pack
 from patterns.engine.ruleset import merged
-from tests.patterns.files.reference import Tree, rendered
+from tests.patterns.reference import Tree, rendered
 from tests.patterns.samples import bound_unless_empty, letter_rows, letter_rule, trees
 from tests.patterns.test_online import LATENESS_US, Record, pieces, records
 
