@@ -14,8 +14,8 @@ from patterns.language.text import Passage
 from patterns.querying.recognition import recognise
 from tests.patterns import oracle
 from tests.patterns.examples import examples
-from tests.patterns.reference import SkipFails, TooSlow, Tree, children, variables
 from tests.patterns.oracle import Clause, Expression
+from tests.patterns.reference import SkipFails, TooSlow, Tree, children, variables
 
 SKIPS = ["PAST LAST ROW", "PAST LAST ROW", "TO NEXT ROW", "TO NEXT ROW", "TO FIRST", "TO LAST"]
 ROWS_PER_MATCH = ["", "ONE ROW PER MATCH", "ALL ROWS PER MATCH", "ALL ROWS PER MATCH SHOW EMPTY MATCHES",
