@@ -39,7 +39,7 @@ def _cases(rule: Rule) -> list[Case]:
     for index, test in enumerate(rule.tests):
         site = site_of(rule)
         site.take(case_site(test))
-        rows = case_rows(bind(rule, known, site=site), index)
+        rows = case_rows(bind(rule, known, site=site), known, index)
         cases.append(Case(f"{rule.rule}_{index}", rule, rows, known, site))
     rows = random_rows(rule, known, site, SEED, 600)
     return [*cases, Case(f"{rule.rule}_random_{SEED}", rule, rows, known, site)]
