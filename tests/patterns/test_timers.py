@@ -5,12 +5,13 @@ from itertools import pairwise
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from patterns import BoundRule, Match, RuleError, RuleRun, bind, check, match, parse_rule
 from patterns.processor import Processor, ProcessorLimits
 from store import Log
+from tests.patterns.examples import examples
 from tests.patterns.samples import BEGINNING, SCHEMAS, letter_rows, letter_rule
 from tests.patterns.test_processor import STATION, T0, add_video, end, point, say, situations
 from tests.patterns.timer_reference import TimedPattern, Tree, matches
@@ -84,7 +85,7 @@ def records(draw: st.DrawFn) -> list[dict[str, Any]]:
     return sorted(rows, key=lambda row: (row["us"], row["source"], row["sequence"]))
 
 
-@settings(max_examples=25)
+@examples(0.0125)  # for each of the patterns
 @given(rows=records(), after_a=st.integers(1, 5), after_b=st.integers(1, 5))
 @pytest.mark.parametrize("name", PATTERNS)
 def test_the_engine_finds_what_the_definition_finds(
@@ -109,7 +110,7 @@ def _us(time: Any) -> int:
     return (time - BEGINNING) // (time - time).resolution
 
 
-@settings(max_examples=15)
+@examples(0.0075)  # for each of the patterns
 @given(
     rows=records(), cuts=st.lists(st.integers(0, 100), max_size=6), restarts=st.sets(st.integers(0, 6)),
     is_shuffled=st.booleans(), after_a=st.integers(1, 5),
