@@ -7,6 +7,7 @@ queries.
 """
 
 from collections.abc import Callable
+from difflib import get_close_matches
 from typing import NoReturn, TypeVar
 
 from sqlglot import exp
@@ -58,6 +59,10 @@ _EACH_MATCH = (
 )
 _T = TypeVar("_T")
 _CLAUSES = ("PARTITION", "ORDER", "MEASURES", "ONE", "ALL", "AFTER", "INITIAL", "SEEK", "PATTERN", "SUBSET", "DEFINE")
+_BEFORE_PATTERN = ("PARTITION BY", "ORDER BY", "MEASURES", "ONE ROW PER MATCH", "ALL ROWS PER MATCH",
+                   "AFTER MATCH SKIP", "INITIAL", "PATTERN")  # fmt: skip
+_BEHIND_PATTERN = ("WITHIN", "SUBSET", "DEFINE")
+_PAIRS = {"PARTITION": "BY", "ORDER": "BY", "ONE": "ROW", "ALL": "ROWS", "AFTER": "MATCH", "PATTERN": "("}
 _OPENING, _CLOSING = ("(", "[", "{"), (")", "]", "}")
 _QUERY_NOT_YET = ("UNION", "EXCEPT", "INTERSECT", "JOIN", "WHERE", "GROUP", "ORDER", "HAVING", "LIMIT", "WITH",
                   "MATCH_RECOGNIZE", "CROSS", "LEFT", "RIGHT", "FULL", "INNER")  # fmt: skip
@@ -190,6 +195,8 @@ class _Parser:
         return Item(word.name if word.is_quoted else word.name.lower(), word.start, value)
 
     def end(self) -> None:
+        if self.key() == ",":
+            self.fail("wanted the end of the query, got ','; the parenthesis of MATCH_RECOGNIZE is closed before it")
         if self.accept("AS") or (self.has_word() and self.key() not in (";", *_QUERY_NOT_YET)):
             self.identifier("a name for the result")
         while self.accept(";"):
@@ -227,13 +234,13 @@ class _Parser:
         if not self.accept("PARTITION"):
             return ()
         self.expect("BY")
-        return self.separated(lambda: self.column("a column to partition by"))
+        return self.listed("PARTITION BY", lambda: self.column("a column to partition by"))
 
     def order_by(self) -> tuple[Ordering, ...]:
         if not self.accept("ORDER"):
             return ()
         self.expect("BY")
-        return self.separated(self.ordering)
+        return self.listed("ORDER BY", self.ordering)
 
     def ordering(self) -> Ordering:
         column = self.column("a column to order by")
@@ -250,6 +257,8 @@ class _Parser:
     def column(self, what: str) -> Identifier:
         """A column's name, a table's before it left out; or, in a query, what an expression is called."""
         first = self.index
+        if self.stands_clause():
+            self.fail(f"wanted {what}, got {self.word_shown()}")
         if self.key() in (",", ")", ""):
             return self.identifier(what)
         names = 1
@@ -266,11 +275,13 @@ class _Parser:
         return Identifier(name, canonical_name(name, not is_name or last.is_quoted), key.at)
 
     def measures(self) -> tuple[Named, ...]:
-        return self.separated(self.measure) if self.accept("MEASURES") else ()
+        return self.listed("MEASURES", self.measure) if self.accept("MEASURES") else ()
 
     def measure(self) -> Named:
         value = self.scalar("MEASURES", stops=("AS",))
         self.expect("AS", "AS and the measure's name")
+        if self.stands_clause():
+            self.fail(f"MEASURES: wanted the measure's name, got {self.word_shown()}")
         return Named(self.identifier("the measure's name"), value)
 
     def rows_per_match(self) -> RowsPerMatch:
@@ -298,8 +309,8 @@ class _Parser:
             self.expect_all("LAST", "ROW")
             return Skip(SkipMode.PAST_LAST_ROW)
         self.expect("TO", "PAST LAST ROW, TO NEXT ROW, TO FIRST v, TO LAST v or TO v")
-        if self.key() == "NEXT" and self.key(1) == "ROW":
-            self.index += 2
+        if self.key() == "NEXT" and self.names_something(1) and self.key(1) != "INITIAL":
+            self.expect_all("NEXT", "ROW")
             return Skip(SkipMode.TO_NEXT_ROW)
         mode = SkipMode.TO_LAST
         if self.key() in ("FIRST", "LAST") and self.names_something(1):
@@ -316,9 +327,9 @@ class _Parser:
     def pattern(self) -> tuple[Pattern, int]:
         at = self.offset()
         wanted = "one of the clauses PARTITION BY, ORDER BY, MEASURES, ONE ROW PER MATCH, AFTER MATCH SKIP, PATTERN"
-        self.expect("PATTERN", wanted)
+        self.expect("PATTERN", wanted, _BEFORE_PATTERN)
         opening = self.offset()
-        self.expect("(")
+        self.expect("(", "( around the pattern")
         tree, end = parse_pattern(self.passage, opening)
         while self.has_word() and self.words[self.index].start < end:
             self.index += 1
@@ -331,25 +342,27 @@ class _Parser:
         return self.scalar("WITHIN")
 
     def subsets(self) -> tuple[Subset, ...]:
-        return self.separated(self.subset) if self.accept("SUBSET") else ()
+        return self.listed("SUBSET", self.subset) if self.accept("SUBSET") else ()
 
     def subset(self) -> Subset:
         name = self.identifier("a name for the union of variables")
         self.expect("=")
         self.expect("(")
-        members = self.separated(lambda: self.identifier("a pattern variable"))
+        members = self.separated("SUBSET", lambda: self.identifier("a pattern variable"))
         self.expect(")")
         return Subset(name, members)
 
     def defines(self) -> tuple[Named, ...]:
         if self.key() == ")":
             return ()
-        self.expect("DEFINE", "WITHIN, SUBSET, DEFINE or ')'")
-        return self.separated(self.define)
+        self.expect("DEFINE", "WITHIN, SUBSET, DEFINE or ')'", _BEHIND_PATTERN)
+        return self.separated("DEFINE", self.define)
 
     def define(self) -> Named:
         name = self.identifier("a pattern variable")
-        self.expect("AS")
+        if self.key() != "AS":
+            self.fail(f"DEFINE {name.name}: wanted AS, got {self.word_shown()}")
+        self.index += 1
         return Named(name, self.scalar("DEFINE"))
 
     def no_further_clause(self) -> None:
@@ -362,19 +375,43 @@ class _Parser:
     def scalar(self, clause: str, stops: tuple[str, ...] = ()) -> Scalar:
         """The expression up to a comma, a closing parenthesis, a clause or one of the stops."""
         first = self.index
-        depth = 0
+        open_at: list[int] = []
         while self.has_word():
             key = self.key()
-            if depth == 0 and (key in (",", *_CLOSING) or key in stops or (key in _CLAUSES and self.begins_clause())):
+            self.check_expression_goes_on(clause, first, open_at)
+            if not open_at and (key in (",", *_CLOSING) or key in stops or (key in _CLAUSES and self.begins_clause())):
                 break
-            depth += (key in _OPENING) - (key in _CLOSING)
-            if depth > NESTING_MOST:
+            if key in _OPENING:
+                open_at.append(self.index)
+            elif key in _CLOSING:
+                open_at.pop()
+            if len(open_at) > NESTING_MOST:
                 self.fail(f"{clause}: an expression nests at most {NESTING_MOST} parentheses in each other")
             self.index += 1
+        if open_at:
+            self.fail_open(clause, open_at)
         words = self.words[first : self.index]
         if not words:
             self.fail(f"{clause}: wanted an expression, got {self.word_shown()}")
         return Scalar(self.parse_words(words, clause), words[0].start, words[-1].end)
+
+    def check_expression_goes_on(self, clause: str, first: int, open_at: list[int]) -> None:
+        """Checks that no word stands here that an expression cannot have: what should end it is missing before."""
+        if self.key() == ";":
+            self.fail(f"{clause}: a semicolon must not stand inside MATCH_RECOGNIZE")
+        is_definition = clause == "DEFINE" and self.names_something(0) and self.key(1) == "AS"
+        if not open_at:
+            if is_definition and self.index > first:
+                self.fail(f"DEFINE: wanted ',' before {self.word_shown()} AS")
+            return
+        is_query = any(self.words[at + 1].key in ("SELECT", "WITH", "FROM") for at in open_at)
+        is_next = self.stands_clause() and self.key() not in ("PARTITION", "ORDER")
+        if not is_query and (is_next or (is_definition and self.key(-1) == ",")):
+            self.fail_open(clause, open_at)
+
+    def fail_open(self, clause: str, open_at: list[int]) -> NoReturn:
+        """Fails at the parenthesis that was opened last."""
+        raise self.passage.error(f"{clause}: this parenthesis is not closed", self.words[open_at[-1]].start)
 
     def parse_words(self, words: list[Word], clause: str) -> exp.Expression:
         opening, closing = Token(TokenType.L_PAREN, "("), Token(TokenType.R_PAREN, ")")
@@ -386,7 +423,7 @@ class _Parser:
                 if stumbled.start == at and word.key in ("RUNNING", "FINAL"):
                     message = f"{clause}: {word.key} stands before FIRST, LAST or an aggregate function only"
                     raise self.passage.error(message, word.start) from error
-            raise self.passage.error(f"{clause}: {_complaint(error)}", at) from error
+            raise self.passage.error(f"{clause}: {_complaint(error, words, at)}", at) from error
         except RecursionError as error:
             raise self.too_deep(clause, words[0].start) from error
         tree = trees[0]
@@ -411,6 +448,13 @@ class _Parser:
             return False
         return self.key(1) not in (".", "(", ",", ")") or (self.key() == "PATTERN" and self.key(1) == "(")
 
+    def stands_clause(self) -> bool:
+        """Whether the words here can be nothing but the beginning of a clause."""
+        key = self.key()
+        if key in _PAIRS:
+            return self.key(1) == _PAIRS[key]
+        return {"SUBSET": "=", "DEFINE": "AS"}.get(key) == self.key(2) != ""
+
     # The cursor.
 
     def has_word(self) -> bool:
@@ -431,10 +475,22 @@ class _Parser:
         self.index += 1
         return True
 
-    def separated(self, one: Callable[[], _T]) -> tuple[_T, ...]:
+    def listed(self, clause: str, one: Callable[[], _T]) -> tuple[_T, ...]:
+        """One or more, with commas between them; then the next clause."""
+        found = self.separated(clause, one)
+        is_clause = self.key() in (*_CLAUSES, *_BEHIND_PATTERN) or self.meant((*_BEFORE_PATTERN, *_BEHIND_PATTERN))
+        if self.names_something(0) and not is_clause:
+            self.fail(f"{clause}: wanted ',' or the next clause, got {self.word_shown()}")
+        return found
+
+    def separated(self, clause: str, one: Callable[[], _T]) -> tuple[_T, ...]:
         """One or more, with commas between them."""
         found = [one()]
-        while self.accept(","):
+        while self.key() == ",":
+            comma = self.offset()
+            self.index += 1
+            if not self.has_word() or self.key() == ")" or self.stands_clause():
+                raise self.passage.error(f"{clause}: nothing follows this comma", comma)
             found.append(one())
         return tuple(found)
 
@@ -442,9 +498,19 @@ class _Parser:
         for key in keys:
             self.expect(key)
 
-    def expect(self, key: str, wanted: str = "") -> None:
+    def expect(self, key: str, wanted: str = "", known: tuple[str, ...] = ()) -> None:
         if not self.accept(key):
-            self.fail(f"wanted {wanted or key}, got {self.word_shown()}")
+            self.fail(f"wanted {wanted or key}, got {self.word_shown()}{self.meant(known)}")
+
+    def meant(self, known: tuple[str, ...]) -> str:
+        """What the word here was meant to be, or why it must not stand here, as far as that can be said."""
+        if self.key() in _BEHIND_PATTERN and "PATTERN" in known:
+            return f"; {self.key()} comes behind PATTERN"
+        if self.key() in _CLAUSES and known:
+            return f"; {self.key()} stands too late or twice"
+        by_first = {each.split()[0]: each for each in known}
+        like = get_close_matches(self.key(), by_first, n=1)
+        return f"; did you mean {by_first[like[0]]}?" if like else ""
 
     def identifier(self, what: str) -> Identifier:
         if not self.has_word() or not self.words[self.index].is_identifier:
@@ -513,10 +579,13 @@ def _end_of_call(words: list[Word], opening: int) -> int:
     return len(words) - 1
 
 
-def _complaint(error: ParseError) -> str:
+def _complaint(error: ParseError, words: list[Word], at: int) -> str:
     details = error.errors[0] if error.errors else {}
-    description = str(details.get("description") or error).split(" missing for ")[0]
-    return f"{description} near {details.get('highlight')!r}" if details.get("highlight") else description
+    description, _, missing = str(details.get("description") or error).partition(" missing for ")
+    if missing:
+        description = "something is missing"
+    word = next((word for word in words if word.start == at), words[-1])
+    return f"{description.replace('Expecting', 'wanted')} near {word.text}"
 
 
 def _error_offset(error: ParseError, words: list[Word]) -> int:

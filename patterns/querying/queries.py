@@ -12,7 +12,8 @@ import json
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from itertools import islice
+from difflib import get_close_matches
+from itertools import islice, pairwise
 from typing import Any
 
 import duckdb
@@ -192,6 +193,12 @@ def _closing(passage: Passage, at: int) -> int:
             depth -= 1
             if depth == 0:
                 return word.end
+    end = passage.place(len(passage.text.rstrip()) - 1)
+    try:
+        parse_clause(_part(passage, at, len(passage.text)), 0)
+    except RuleError as error:
+        if (error.line, error.column) < (end.line, end.column):  # a parenthesis inside, or what hid the closing one
+            raise
     raise passage.error(f"the parenthesis of {_CLAUSE} is not closed", opening)
 
 
@@ -266,9 +273,22 @@ def _explained(passage: Passage, statement: Statement, error: duckdb.Error, is_i
     message = f"{kind}: {told['exception_message']}"
     if is_input and isinstance(error, duckdb.BinderException) and "not found" in message:
         message += f"\n({_STANDS_ALONE})"
+    if isinstance(error, duckdb.ParserException):
+        message += _meant(passage)
     octets = int(told.get("position", 0))
     offset = len(statement.sql.encode()[:octets].decode(errors="ignore"))
     return passage.error(message, statement.origin(offset), QueryError)
+
+
+def _meant(passage: Passage) -> str:
+    """Where a word is like MATCH_RECOGNIZE, or has no parenthesis behind it, that this may be what is wrong."""
+    for word, after in pairwise(lexemes(passage)):
+        if word.key == _CLAUSE and after.key not in ("(", ")", ",", "."):
+            return f"\n({_CLAUSE} wants a parenthesis behind it, got {after.text})"
+        is_like = word.key != _CLAUSE and get_close_matches(word.key, (_CLAUSE,), n=1, cutoff=0.8)
+        if is_like and after.key == "(":
+            return f"\n({word.text}: did you mean {_CLAUSE}?)"
+    return ""
 
 
 def _distinctly_named(table: pa.Table) -> pa.Table:
