@@ -64,7 +64,7 @@ _BEFORE_PATTERN = ("PARTITION BY", "ORDER BY", "MEASURES", "ONE ROW PER MATCH", 
 _BEHIND_PATTERN = ("WITHIN", "SUBSET", "DEFINE")
 _PAIRS = {"PARTITION": "BY", "ORDER": "BY", "ONE": "ROW", "ALL": "ROWS", "AFTER": "MATCH", "PATTERN": "("}
 _OPENING, _CLOSING = ("(", "[", "{"), (")", "]", "}")
-_QUERY_NOT_YET = ("UNION", "EXCEPT", "INTERSECT", "JOIN", "WHERE", "GROUP", "ORDER", "HAVING", "LIMIT", "WITH",
+_OF_QUERIES = ("UNION", "EXCEPT", "INTERSECT", "JOIN", "WHERE", "GROUP", "ORDER", "HAVING", "LIMIT", "WITH",
                   "MATCH_RECOGNIZE", "CROSS", "LEFT", "RIGHT", "FULL", "INNER")  # fmt: skip
 
 
@@ -126,14 +126,16 @@ class _Parser:
     def arms(self) -> tuple[Arm, ...]:
         if not self.accept("("):
             name, rule = self.event_type()
-            if self.key() in (",", *_QUERY_NOT_YET) and self.key() != "MATCH_RECOGNIZE":
-                self.refuse(f"{self.word_shown()} after FROM", _ONE_STREAM)
+            if self.key() in (",", *_OF_QUERIES) and self.key() != "MATCH_RECOGNIZE":
+                self.refuse(
+                    "second table after FROM" if self.key() == "," else f"{self.word_shown()} after FROM", _ONE_STREAM
+                )
             return (Arm(name, rule, has_star=True, items=(), where=None),)
         arms = [self.arm()]
         while self.unites():
             arms.append(self.arm())
-        if self.key() in _QUERY_NOT_YET or self.key() == ",":
-            self.refuse(f"{self.word_shown()} in an arm of FROM", _ONE_EVENT)
+        if self.key() in _OF_QUERIES or self.key() == ",":
+            self.refuse("second table in an arm" if self.key() == "," else f"{self.word_shown()} in an arm", _ONE_EVENT)
         self.expect(")")
         return tuple(arms)
 
@@ -158,7 +160,7 @@ class _Parser:
         name, rule = self.event_type()
         where = None
         if self.accept("WHERE"):
-            where = self.scalar("WHERE", stops=(*_QUERY_NOT_YET, "WINDOW", "QUALIFY"))
+            where = self.scalar("WHERE", stops=(*_OF_QUERIES, "WINDOW", "QUALIFY"))
         return Arm(name, rule, has_star, items, where)
 
     def event_type(self) -> tuple[Identifier, str | None]:
@@ -197,11 +199,11 @@ class _Parser:
     def end(self) -> None:
         if self.key() == ",":
             self.fail("wanted the end of the query, got ','; the parenthesis of MATCH_RECOGNIZE is closed before it")
-        if self.accept("AS") or (self.has_word() and self.key() not in (";", *_QUERY_NOT_YET)):
+        if self.accept("AS") or (self.has_word() and self.key() not in (";", *_OF_QUERIES)):
             self.identifier("a name for the result")
         while self.accept(";"):
             pass
-        if self.key() in _QUERY_NOT_YET:
+        if self.key() in _OF_QUERIES:
             self.refuse(f"{self.word_shown()} after MATCH_RECOGNIZE", _EACH_MATCH)
         if self.has_word():
             self.fail(f"wanted the end of the query, got {self.word_shown()}")
