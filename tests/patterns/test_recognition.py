@@ -196,7 +196,13 @@ def test_where_the_search_goes_on(skip: str, starts: list[int]) -> None:
     assert recognised(clause, rows).column("start").to_pylist() == starts
 
 
-@pytest.mark.parametrize("skip,message", [("TO A", "first row of the match"), ("TO D", "not in the match")])
+@pytest.mark.parametrize(
+    "skip,message",
+    [
+        ("TO A", "AFTER MATCH SKIP TO LAST A: A is the first row of the match from id 1 to id 2, so the search"),
+        ("TO FIRST D", "AFTER MATCH SKIP TO FIRST D: D is not in the match from id 1 to id 2. Next: skip to"),
+    ],
+)
 def test_a_skip_to_nowhere_is_an_error(skip: str, message: str) -> None:
     clause = f"ORDER BY id MEASURES 1 AS m AFTER MATCH SKIP {skip} PATTERN (A B D?) DEFINE D AS false"
     with pytest.raises(SkipError, match=message):
