@@ -17,6 +17,7 @@ from pathlib import Path
 import psycopg
 import pytest
 import sqlalchemy as sa
+from hypothesis import HealthCheck, settings
 
 from events import Catalogue
 from store import Log, open_log
@@ -28,6 +29,12 @@ PG15 = Path("/usr/lib/postgresql/15/bin")
 MEMORY = Path("/dev/shm")
 TEMPLATE = "vian_template"
 MakeLog = Callable[..., Log]
+
+# How long an example takes says how busy the machine is, and no law here is about that. Hypothesis would
+# otherwise take a profile for CI that tries the same examples each time; here they are new in each run, and a
+# failure prints the seed that repeats it.
+settings.register_profile("vian", deadline=None, suppress_health_check=[HealthCheck.too_slow], print_blob=True)
+settings.load_profile("vian")
 
 
 class Server:

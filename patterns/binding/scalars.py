@@ -23,6 +23,7 @@ from patterns.binding.expressions import (
     Expr,
     InZone,
     Kind,
+    MatchNumber,
     OneOf,
     OnGround,
     Reference,
@@ -37,10 +38,10 @@ from patterns.binding.literals import VARIABLE_UNITS, interval, number
 from patterns.binding.scope import Scope, constant
 from patterns.binding.typing_rules import TypeMismatch, as_float, typed_call
 from patterns.errors import NotSupportedYet, RuleError
+from patterns.language import navigation
 from patterns.language.navigation import (
     NAVIGATION,
     AggregateReading,
-    MatchNumber,
     Names,
     Reader,
     Reading,
@@ -177,17 +178,33 @@ class _Translator:
         reading = self.reader.reading(node)
         if isinstance(reading, AggregateReading):
             return self.aggregate(reading, node)
-        if isinstance(reading, MatchNumber):
-            self.fail("MATCH_NUMBER counts the matches of a partition for good, and a rule forgets; a situation has "
-                      "an identity of its own", node)  # fmt: skip
+        if isinstance(reading, navigation.MatchNumber):
+            return self.match_number(node)
         return self.of_row(reading, node)
+
+    def match_number(self, node: exp.Expr) -> Expr:
+        if self.scope.clause == "DEFINE":
+            self.fail("MATCH_NUMBER is known once all matches before are decided, so that a rule would have to keep "
+                      "the rows of a partition until then; it stands in MEASURES", node)  # fmt: skip
+        return MatchNumber()
 
     def of_row(self, reading: Reading | None, node: exp.Expr) -> Expr:
         assert isinstance(reading, RowReading), "neither an aggregate nor the match's number"
-        if reading.shift > 0:
-            self.fail("NEXT looks at a row that has not come yet when a rule is decided; write the row that follows "
-                      "as a variable of its own", node)  # fmt: skip
         operand = self.at_row(reading.operand)
+        if any(isinstance(part, MatchNumber) for part in walk(operand)):
+            return self.spread(reading, operand, node)
+        return self.read_at(reading, operand, node)
+
+    def spread(self, reading: RowReading, operand: Expr, node: exp.Expr) -> Expr:
+        """The operand with each of its columns read by itself: the match's number is none of a row."""
+        if isinstance(operand, MatchNumber | Const):
+            return operand
+        if isinstance(operand, Column | Classifier):
+            return self.read_at(reading, operand, node)
+        return rebuilt(operand, lambda part: self.spread(reading, part, node))
+
+    def read_at(self, reading: RowReading, operand: Expr, node: exp.Expr) -> Expr:
+        """The operand's value at the row that the reading says."""
         if any(isinstance(part, Classifier) for part in walk(operand)):
             return self.classified(reading, operand, node)
         if reading.shift:
@@ -203,13 +220,21 @@ class _Translator:
 
     def classified(self, reading: RowReading, operand: Expr, node: exp.Expr) -> Expr:
         if reading.shift and (reading.frame is not None or reading.which == "first"):
-            self.fail("CLASSIFIER stands in PREV of the match's rows only, as in PREV(CLASSIFIER())", node)
+            self.fail("CLASSIFIER stands in PREV and NEXT of the match's rows only, as in PREV(CLASSIFIER())", node)
+        if reading.shift > reading.offset:
+            return self.beyond(operand, node)
         if reading.shift == 0 and self.is_current(reading):
             return labelled(
                 operand, next(key for key, shown in self.scope.variables.items() if shown == self.scope.own)
             )
         # The rows of a match follow each other: n rows back from its last is its last but n.
         return Reference(reading.frame, reading.which, operand, reading.offset - reading.shift)
+
+    def beyond(self, operand: Expr, node: exp.Expr) -> Expr:
+        """What NEXT(CLASSIFIER()) is: no row after the match's last is mapped to a variable."""
+        if not isinstance(operand, Classifier):
+            self.fail("CLASSIFIER stands by itself inside NEXT of the match's last row", node)
+        return Const(None, Kind.STRING)
 
     def at_row(self, operand: exp.Expr) -> Expr:
         """The operand over the columns of one row, whichever that is."""
@@ -228,6 +253,8 @@ class _Translator:
         if len(arguments) != 1:
             self.fail(f"{name} takes one value, got {len(arguments)}", node)
         operand = self.at_row(arguments[0])
+        if any(isinstance(part, MatchNumber) for part in walk(operand)):
+            self.fail(f"MATCH_NUMBER is none of a row's values; it stands outside of {name}", node)
         values = Aggregate(reading.frame, "values", operand, Kind.INT)
         if name == "COUNT":
             return values
@@ -494,8 +521,8 @@ _GROUND: dict[str, tuple[GroundValue, int, str]] = {
     "GROUND_SPEED": ("speed", 4, "ground_speed(x, y, vx, vy)"),
 }
 _FUNCTIONS_SHOWN = (
-    "FIRST, LAST, PREV, CLASSIFIER, COUNT, SUM, MIN, MAX, AVG, ABS, SQRT, LEAST, GREATEST, COALESCE, TIMER, "
-    "in_zone, crosses, ground_x, ground_y, ground_speed"
+    "FIRST, LAST, PREV, NEXT, CLASSIFIER, MATCH_NUMBER, COUNT, SUM, MIN, MAX, AVG, ABS, SQRT, LEAST, GREATEST, "
+    "COALESCE, TIMER, in_zone, crosses, ground_x, ground_y, ground_speed"
 )
 _HANDLERS: dict[type[exp.Expr], Callable[[_Translator, Any], Expr]] = {
     exp.Column: _Translator.column,

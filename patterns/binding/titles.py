@@ -54,11 +54,14 @@ def filled_title(title: str, values: dict[str, Scalar]) -> str:
     return title.format_map(_AllShown(values))
 
 
-class _AllShown(dict[str, Scalar]):
+class _AllShown:
     """Values by name; each is made ready to be shown when it is asked for."""
 
-    def __getitem__(self, name: str) -> "_Shown":  # type: ignore[override]
-        return _Shown(super().__getitem__(name))
+    def __init__(self, values: dict[str, Scalar]) -> None:
+        self._values = values
+
+    def __getitem__(self, name: str) -> "_Shown":
+        return _Shown(self._values[name])
 
 
 class _Shown:

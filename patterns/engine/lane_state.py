@@ -2,7 +2,7 @@
 
 Layout: the four bytes `VRS2`, then the length of the header (4 bytes, big endian), the header (zstd of
 UTF-8 JSON), and for each table that the header names an Arrow IPC stream, its buffers compressed with zstd.
-A newer layout gets another number.
+A column is of the narrowest integers that hold its values. A newer layout gets another number.
 
 A saved rule knows only itself. Rules that were saved at the same place of the same rows share a lane again.
 """
@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import zstandard
+from numpy.typing import NDArray
 
 from patterns.binding.expressions import Kind
 from patterns.binding.rows import SEQUENCE, STREAM, TIME
@@ -32,6 +33,7 @@ from patterns.errors import StateError
 from patterns.scene.site import Site
 
 _POOLS = ("cells", "attempts", "threads", "registers", "traces")
+_NARROW = tuple(np.iinfo(width) for width in (np.int8, np.int16, np.int32))
 
 
 @dataclass(slots=True)
@@ -350,8 +352,16 @@ def _with_pools(state: State, rule: int, pools: dict[str, Integers], partitions:
 
 
 def _table(integers: Integers) -> pa.Table:
-    names = [str(at) for at in range(integers.shape[1])]
-    return pa.table([pa.array(np.ascontiguousarray(integers[:, at])) for at in range(integers.shape[1])], names=names)
+    columns = [_narrowed(np.ascontiguousarray(integers[:, at])) for at in range(integers.shape[1])]
+    return pa.table([pa.array(column) for column in columns], names=[str(at) for at in range(len(columns))])
+
+
+def _narrowed(column: Integers) -> NDArray[np.signedinteger[Any]]:
+    """The column in as few bytes a value as it fits in: compressing is what saving takes longest for."""
+    least, most = int(column.min(initial=0)), int(column.max(initial=0))
+    fits = (each for each in _NARROW if each.min <= least and most <= each.max)
+    width = next(fits, None)
+    return column if width is None else column.astype(width.dtype)
 
 
 def _integers(table: pa.Table) -> Integers:

@@ -189,6 +189,7 @@ class Narrator:
         outputs = (*bound.measures, *bound.title_columns)
         self.outputs = [(output.name, output.value.kind) for output in outputs]
         self.measured = len(bound.measures)
+        self.is_numbered = bound.is_numbered
         self.guards = [compile_guard(output.value, slots, registers, places) for output in outputs]
         self.times = [
             guard for output, guard in zip(outputs, self.guards, strict=True) if _is_other_time(output.value)
@@ -208,15 +209,21 @@ class Narrator:
         """
         _check_time(found.first[2])
         _check_time(found.ending.event[2])
+        remembered = self._remembered(found)
         for guard in self.times:
-            _check_time(guard((), found.ending.registers))
+            _check_time(guard((), remembered))
         for at in self.key_times:
             _check_time(key[at])
         return Match(self, key, found, self._judged_by(found) if self.drawn else {})
 
     def values(self, found: Found) -> list[Any]:
         """The measures' and then the title's values, as the engine has them."""
-        return [guard((), found.ending.registers) for guard in self.guards]
+        remembered = self._remembered(found)
+        return [guard((), remembered) for guard in self.guards]
+
+    def _remembered(self, found: Found) -> Sequence[Any]:
+        registers = found.ending.registers
+        return (*registers, found.number) if self.is_numbered else registers
 
     def partition(self, key: Sequence[Any]) -> dict[str, Scalar]:
         """The partition columns and their values."""

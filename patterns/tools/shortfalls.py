@@ -265,8 +265,8 @@ def _elsewhere(what: str, name: str, known: Sequence[Zone | Line], got: Any) -> 
 def _why_no_crossing(points: Any, step: Sequence[float], direction: str, unit: str) -> tuple[str, float]:
     (ax, ay), (bx, by) = points
     x0, y0, x1, y1 = step
-    columns = tuple(np.array([value]) for value in step)
-    if crosses_line(points, columns, "any")[0]:  # type: ignore[arg-type]
+    ends = (np.array([x0]), np.array([y0]), np.array([x1]), np.array([y1]))
+    if crosses_line(points, ends, "any")[0]:
         return f"the step crosses it the other way; wanted {direction.replace('_', ' ')}", 0.5
     before, after = ((bx - ax) * (y - ay) - (by - ay) * (x - ax) >= 0 for x, y in ((x0, y0), (x1, y1)))
     far = float(shapely.distance(shapely.LineString(points), shapely.LineString([(x0, y0), (x1, y1)])))

@@ -38,6 +38,39 @@ RULES = {
         more="time: {lateness: 4 us}\nemit: {once_per: [letter]}",
     ),
     "unpartitioned": letter_rule("A B", "A AS letter = 'a', B AS n > A.n", "B.n AS n", partition="", more=MORE),
+    "looking ahead": letter_rule("A", "A AS letter <> NEXT(letter)", "NEXT(A.letter, 2) AS after", more=MORE),
+    "rising next": letter_rule(
+        "A B* C", "A AS letter = 'a', B AS n <= NEXT(n), C AS letter = 'c' AND C.n < NEXT(A.n)",
+        "NEXT(B.n) AS after, NEXT(FIRST(B.n), 2) AS later", skip="TO NEXT ROW", more=MORE,
+    ),
+    "ahead in a window": letter_rule(
+        "A X*? B", "A AS letter = 'a', B AS letter = 'b' AND NEXT(letter, 2) <> 'a'",
+        "NEXT(B.n) AS n, PREV(A.n) AS before", within="INTERVAL '6' MICROSECOND", more=MORE,
+    ),
+    "window of those ahead": letter_rule(
+        "A B*", "A AS letter = 'a' AND NEXT(n) > 0, B AS NEXT(B.n) >= 0", "COUNT(B.*) AS many",
+        within="INTERVAL '4' MICROSECOND", skip="TO NEXT ROW", more=MORE,
+    ),
+    "ahead of a timer": letter_rule(
+        "A X*? (B | T)", "A AS letter = 'a', X AS NEXT(n) <> 2, B AS letter = 'b' AND NEXT(letter) = 'b', "
+        "T AS TIMER(A.time, INTERVAL '3' MICROSECOND)", "T.time AS due, NEXT(X.n) AS n", more=MORE,
+    ),
+    "the last in a window": letter_rule(
+        "A B* $ | A B{1,2}?", "A AS letter = 'a', B AS letter <> 'c'", "COUNT(B.*) AS many",
+        within="INTERVAL '5' MICROSECOND", skip="TO NEXT ROW", more=MORE,
+    ),
+    "the last or one of those ahead": letter_rule(
+        "A B* $ | A B", "A AS letter = 'a', B AS NEXT(letter) <> 'c' OR NEXT(letter) IS NULL", "LAST(B.n) AS n",
+        within="INTERVAL '5' MICROSECOND", more=MORE,
+    ),
+    "numbered": letter_rule(
+        "A B?", "A AS letter = 'a', B AS letter = 'b'", "MATCH_NUMBER() AS number, FIRST(n + MATCH_NUMBER()) AS sum",
+        more=MORE,
+    ),
+    "numbered with empty ones": letter_rule(
+        "(A B?)?", "A AS letter = 'a', B AS letter = 'b' AND NEXT(n) > 0", "MATCH_NUMBER() AS number",
+        skip="TO NEXT ROW", within="INTERVAL '5' MICROSECOND", more=MORE,
+    ),
     "filtered": letter_rule("A B", "B AS n > PREV(n)", "B.n AS n", more=MORE),
 }  # fmt: skip
 

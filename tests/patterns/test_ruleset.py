@@ -30,7 +30,7 @@ def _alone(bound: BoundRule, parts: list[list[Record]]) -> Outcome:
     return whole + run.finish()
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(rows=records(), cuts=st.lists(st.integers(0, 100), max_size=5), restarts=st.sets(st.integers(0, 5)))
 def test_a_set_gives_for_each_rule_what_it_gives_alone(rows: list[Record], cuts: list[int], restarts: set[int]) -> None:
     arriving = sorted(rows, key=lambda row: row["us"] + row["delay"])
@@ -51,7 +51,7 @@ def test_a_set_gives_for_each_rule_what_it_gives_alone(rows: list[Record], cuts:
         assert found.get(bound.rule.rule, Outcome()) == _alone(bound, parts), bound.rule.rule
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(rows=records(), came=st.integers(0, 3), went=st.integers(0, 3))
 def test_rules_that_come_and_go_change_nothing_for_the_others(rows: list[Record], came: int, went: int) -> None:
     parts = pieces(rows, [len(rows) // 4, len(rows) // 2, len(rows) * 3 // 4])

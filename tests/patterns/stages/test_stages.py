@@ -102,7 +102,7 @@ def said(derived: Any) -> list[tuple[str, dict[str, Any]]]:
     return [(each.source, dict(event)) for each in derived for event in events_of(each.batch)]
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     records=points(), cuts=st.lists(st.integers(0, 100), max_size=5), restarts=st.sets(st.integers(0, 5)),
     is_shuffled=st.booleans(),
