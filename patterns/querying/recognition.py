@@ -42,6 +42,8 @@ from patterns.querying.ordered import OrderedRows, ordered
 from patterns.querying.symbols import Symbols
 
 _STRIDE = 1_000
+_STEPS_A_ROW = 10
+"""How many steps for each row of the input a search may take, where that is more than the limit."""
 
 
 def recognise(
@@ -385,22 +387,25 @@ class _Search:
         matcher = Matcher(replace(self.machine, registers=registers))
         block = replace(self.block, starts=[row])
         state = Partition(ordinal=row - begin)
-        at = row
+        at, stride = row, 1
         found: list[Found] = []
         while not found and at < end and (at == row or state.attempts):
-            step = min(end, at + _STRIDE)
+            step = min(end, at + stride)
             found = matcher.run(state, block, at, step)
-            self.count(step - at)
-            at = step
+            self.count((step - at) * max(1, sum(len(attempt.threads) for attempt in state.attempts)))
+            at, stride = step, min(2 * stride, _STRIDE)
         found = found or matcher.finish(state)
         return found[0] if found else None
 
     def count(self, steps: int) -> None:
         self.steps += steps
-        if self.steps > self.limits.steps:
+        rows = len(self.block.bits)
+        most = max(self.limits.steps, _STEPS_A_ROW * rows)
+        if self.steps > most:
             raise LimitError(
-                f"MATCH_NUMBER in DEFINE makes the search go row by row; it took {self.steps} steps, the limit "
-                f"`steps` is {self.limits.steps}. Ask for the number in MEASURES instead"
+                "MATCH_NUMBER in DEFINE makes the search go start by start, each over all rows until it is decided: "
+                f"{self.steps:,} steps so far over {rows:,} rows, and the limit `steps` is {most:,}. Next: ask for the "
+                "number in MEASURES, or let a start fail sooner, by WITHIN or a condition"
             )
 
 

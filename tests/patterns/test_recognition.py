@@ -215,8 +215,18 @@ def test_the_number_of_the_match_can_decide_about_its_rows() -> None:
     assert [label for _, _, label in _labels("(A | B)*", define, rows)] == list("BBBBA")
     clause = "ORDER BY id MEASURES MATCH_NUMBER() AS m PATTERN (A) DEFINE A AS MATCH_NUMBER() < 3"
     assert recognised(clause, rows).column("m").to_pylist() == [1, 2]
-    with pytest.raises(LimitError, match="the limit `steps` is 3"):
-        recognised(clause, rows, limits=Limits(steps=3))
+
+
+def test_a_search_start_by_start_ends_with_its_limit_named() -> None:
+    rows = ", ".join(f"({at}, {at % 3})" for at in range(300))
+    short = "ORDER BY id MEASURES MATCH_NUMBER() AS m PATTERN (A B) DEFINE A AS value = 0 AND MATCH_NUMBER() < 300"
+    assert recognised(short, rows, limits=Limits(steps=1)).num_rows == 100, "what looks at few rows a start may go on"
+    ahead = "ORDER BY id MEASURES 1 AS m PATTERN (A+ B) DEFINE A AS MATCH_NUMBER() < 3, B AS value > 5"
+    wanted = r"3,\d+ steps so far over 300 rows, and the limit `steps` is 3,000. Next: ask for the number in MEASURES"
+    with pytest.raises(LimitError, match=wanted):
+        recognised(ahead, rows, limits=Limits(steps=1))
+    with pytest.raises(LimitError, match="the limit `steps` is 20,000"):
+        recognised(ahead, rows, limits=Limits(steps=20_000))
 
 
 def test_columns_and_their_order() -> None:
