@@ -7,7 +7,7 @@ from patterns.binding.expressions import Const, Kind
 MILLISECOND_US = 1_000
 _UNITS = (("DAY", 86_400_000_000), ("HOUR", 3_600_000_000), ("MINUTE", 60_000_000), ("SECOND", 1_000_000))
 _DAYS_MOST = 1000
-"""Flink refuses intervals whose days have more than three digits: 'DAY_INTERVAL_TYPES precision is not supported: 4'."""
+"""Flink refuses intervals with more digits of days than three (DAY_INTERVAL_TYPES precision is not supported)."""
 TYPES = {
     Kind.BOOL: "BOOLEAN", Kind.INT: "BIGINT", Kind.FLOAT: "DOUBLE", Kind.STRING: "STRING",
     Kind.TIME: "TIMESTAMP_LTZ(6)", Kind.DURATION: "BIGINT", Kind.NULL: "BOOLEAN",

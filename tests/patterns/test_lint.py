@@ -107,6 +107,10 @@ def test_a_variable_that_is_never_taken_is_a_warning_where_the_rest_can_match() 
         ("PATTERN (B (C | A) D) WITHIN INTERVAL '1' SECOND DEFINE B AS n > 1, A AS n > 2, C AS n > 2 AND v > 1)", []),
         ("MEASURES C.n AS n\nPATTERN (B (A | C)) WITHIN INTERVAL '1' DAY DEFINE A AS n > 2, C AS n > 2 AND v > 1)", []),
         ("PATTERN (A B) WITHIN INTERVAL '1' SECOND DEFINE B AS TIMER(A.time, INTERVAL '2' SECOND))", ["within-timer"]),
+        ("PATTERN (A B) WITHIN INTERVAL '1' SECOND DEFINE B AS n < NEXT(n))", ["unbounded", "waits"]),
+        ("MEASURES MATCH_NUMBER() AS m\nPATTERN (A B) WITHIN INTERVAL '1' SECOND DEFINE B AS n > 1)", ["unbounded"]),
+        ("PATTERN (A B $) WITHIN INTERVAL '1' SECOND DEFINE B AS n > 1)", ["unbounded"]),
+        ("PATTERN (^ A B) WITHIN INTERVAL '1' SECOND DEFINE B AS n > 1)", ["unbounded"]),
     ],
 )  # fmt: skip
 def test_what_looks_wrong_is_named(clauses: str, wanted: list[str]) -> None:
