@@ -222,6 +222,7 @@ def test_a_rule_that_raises_anything_is_retired_with_its_position_and_comes_back
     assert not processor.failures
 
 
+@pytest.mark.timeout(600)  # one of them compiles the kernel where nobody did
 @pytest.mark.parametrize("is_compiled", [True, False])
 def test_a_rule_that_fails_among_segments_read_together_has_told_what_it_found_before(
     make_log: MakeLog, monkeypatch: pytest.MonkeyPatch, is_compiled: bool
