@@ -16,8 +16,9 @@ import duckdb
 import numpy as np
 import pyarrow as pa
 
+from patterns.binding.bound import Register
 from patterns.binding.program import ProgramTooLarge, Tables, compile_pattern, tabulate
-from patterns.binding.registers import initial, live_registers, update_of
+from patterns.binding.registers import Change, Update, initial, live_registers, update_of
 from patterns.engine.matcher import Block, Found, Machine, Matcher, Partition, runs
 from patterns.errors import LimitError, MatchError
 from patterns.language.syntax import (
@@ -235,11 +236,7 @@ class _Recognition:
         reads = [set(each) for each in conditions.reads]
         live = live_registers(tables, registers, reads)
         updates = [
-            tuple(
-                update_of(index, each, variable, self.limits.listed)
-                for index, each in enumerate(registers)
-                if each.takes(variable)
-            )
+            tuple(self.update(index, each, variable) for index, each in enumerate(registers) if each.takes(variable))
             for variable in range(count)
         ]
         target = self.clause.skip.variable
@@ -260,6 +257,11 @@ class _Recognition:
             skip_variables=(*skipped, *(variable + count for variable in skipped)),
             threads_most=self.limits.threads,
         )
+
+    def update(self, index: int, register: Register, variable: int) -> Update:
+        """How a row of this variable changes the register; extremes as DuckDB has them."""
+        index, change, slot = update_of(index, register, variable, self.limits.listed)
+        return index, _EXTREMES.get(register.how, change), slot
 
     def put(self, search: "_Search", output: _Output, tables: Tables, begin: int, end: int) -> None:
         """One partition."""
@@ -387,6 +389,22 @@ class _Search:
                 f"MATCH_NUMBER in DEFINE makes the search go row by row; it took {self.steps} steps, the limit "
                 f"`steps` is {self.limits.steps}. Ask for the number in MEASURES instead"
             )
+
+
+def _min(held: Any, value: Any) -> Any:
+    if held is None or value is None:
+        return value if held is None else held
+    return held if held <= value or value != value else value
+
+
+def _max(held: Any, value: Any) -> Any:
+    if held is None or value is None:
+        return value if held is None else held
+    return held if held >= value or held != held else value
+
+
+_EXTREMES: dict[str, Change] = {"min": _min, "max": _max}
+"""To DuckDB NaN, which does not equal itself, is greater than every number."""
 
 
 def _term(column: str, ordering: Ordering) -> str:
