@@ -38,7 +38,7 @@ from patterns.binding.program import ProgramTooLarge, Tables, compile_pattern, t
 from patterns.binding.scalars import labelled, translate
 from patterns.binding.scope import Scope
 from patterns.binding.titles import check_formats, title_fields
-from patterns.errors import NotSupportedYet, RuleError
+from patterns.errors import NotInRules, RuleError
 from patterns.files.rule import Rule
 from patterns.language.frames import frames_of
 from patterns.language.parser import parse
@@ -75,7 +75,7 @@ def bind(
 
     Raises:
         RuleError: A name that is not there, operands of wrong types, a pattern that can never match.
-        NotSupportedYet: SQL outside what this version understands.
+        NotInRules: SQL that a rule does not have.
     """
     query = parse(rule.passage("match"))
     return _Binder(rule, query, schemas, limits or Limits()).bound(_site(site, frame_sizes))
@@ -195,7 +195,7 @@ class _Binder:
             if index > 1:
                 raise self.refusal("ORDER BY more than time and sequence", at)
             if ordering.column.key != ("TIME", "SEQUENCE")[index]:
-                raise self.refusal(f"ORDER BY {name} (only time and sequence order events)", at)
+                raise self.refusal(f"ORDER BY {name}", at)
             if ordering.is_descending or ordering.nulls_first is not None:
                 raise self.refusal("ORDER BY ... " + ("DESC" if ordering.is_descending else "NULLS"), at)
         if not order:
@@ -207,7 +207,11 @@ class _Binder:
             raise self.error(message, self.clause.rows_at)
 
     def refusal(self, what: str, at: int) -> RuleError:
-        return self.query.passage.error(f"{what} is not supported yet", at, NotSupportedYet)
+        message = (
+            f"rules have no {what}: events come by time, stream and sequence, the one order that a replay has too. "
+            "Next: write ORDER BY time, sequence"
+        )
+        return self.query.passage.error(message, at, NotInRules)
 
     def scope(self, clause: str, own: str | None, has_row: bool) -> Scope:
         return Scope(

@@ -14,7 +14,7 @@ from sqlglot import exp
 from sqlglot.errors import ParseError
 from sqlglot.tokenizer_core import Token, TokenType
 
-from patterns.errors import NotSupportedYet, RuleError
+from patterns.errors import NotInRules, RuleError
 from patterns.language.dialect import ClauseDialect
 from patterns.language.pattern_parser import parse_pattern
 from patterns.language.syntax import (
@@ -41,6 +41,22 @@ NESTING_MOST = 30
 OPERATORS_MOST = 150
 """Operators and functions of an expression in each other; a chain of AND counts each."""
 
+_NAMED_INPUT = (
+    "its FROM is the whole input. Next: write what WITH names as an arm of FROM, or as a rule of its own, and read it "
+    "by situation('rule')"
+)
+_MEASURES_SAY = "what a situation says is named in MEASURES. Next: write SELECT *"
+_ONE_STREAM = (
+    "a rule reads events in one order as they come, and a join or a group is complete only when nothing more comes. "
+    "Next: unite types with FROM (SELECT ... UNION ALL BY NAME SELECT ...), filter in WHERE there, join in PATTERN"
+)
+_ONE_EVENT = (
+    "an arm reads one event at a time. Next: write SELECT list FROM type WHERE condition, united by UNION ALL BY NAME"
+)
+_EACH_MATCH = (
+    "each match is a situation when it is final, whatever others come. Next: say in DEFINE which matches count, in "
+    "`emit` how often; a rule can read them by situation('rule'), a query from the log"
+)
 _T = TypeVar("_T")
 _CLAUSES = ("PARTITION", "ORDER", "MEASURES", "ONE", "ALL", "AFTER", "INITIAL", "SEEK", "PATTERN", "SUBSET", "DEFINE")
 _BEFORE_PATTERN = ("PARTITION BY", "ORDER BY", "MEASURES", "ONE ROW PER MATCH", "ALL ROWS PER MATCH",
@@ -48,7 +64,7 @@ _BEFORE_PATTERN = ("PARTITION BY", "ORDER BY", "MEASURES", "ONE ROW PER MATCH", 
 _BEHIND_PATTERN = ("WITHIN", "SUBSET", "DEFINE")
 _PAIRS = {"PARTITION": "BY", "ORDER": "BY", "ONE": "ROW", "ALL": "ROWS", "AFTER": "MATCH", "PATTERN": "("}
 _OPENING, _CLOSING = ("(", "[", "{"), (")", "]", "}")
-_QUERY_NOT_YET = ("UNION", "EXCEPT", "INTERSECT", "JOIN", "WHERE", "GROUP", "ORDER", "HAVING", "LIMIT", "WITH",
+_OF_QUERIES = ("UNION", "EXCEPT", "INTERSECT", "JOIN", "WHERE", "GROUP", "ORDER", "HAVING", "LIMIT", "WITH",
                   "MATCH_RECOGNIZE", "CROSS", "LEFT", "RIGHT", "FULL", "INNER")  # fmt: skip
 
 
@@ -72,7 +88,7 @@ def parse(passage: Passage) -> Query:
 
     Raises:
         RuleError: Not one SELECT * FROM type MATCH_RECOGNIZE (...).
-        NotSupportedYet: SQL that this version does not understand.
+        NotInRules: SQL that a rule does not have.
     """
     return _Parser(passage).query()
 
@@ -91,7 +107,7 @@ class _Parser:
 
     def query(self) -> Query:
         if self.key() == "WITH":
-            self.refuse("WITH")
+            self.refuse("WITH", _NAMED_INPUT)
         self.expect("SELECT")
         self.select_star()
         self.expect("FROM")
@@ -102,22 +118,24 @@ class _Parser:
 
     def select_star(self) -> None:
         if self.key() != "*":
-            self.refuse("a SELECT list other than *")
+            self.refuse("SELECT list other than *", _MEASURES_SAY)
         self.index += 1
         if self.key() == ",":
-            self.refuse("a SELECT list other than *")
+            self.refuse("SELECT list other than *", _MEASURES_SAY)
 
     def arms(self) -> tuple[Arm, ...]:
         if not self.accept("("):
             name, rule = self.event_type()
-            if self.key() in (",", *_QUERY_NOT_YET) and self.key() != "MATCH_RECOGNIZE":
-                self.refuse(f"{self.word_shown()} after FROM")
+            if self.key() in (",", *_OF_QUERIES) and self.key() != "MATCH_RECOGNIZE":
+                self.refuse(
+                    "second table after FROM" if self.key() == "," else f"{self.word_shown()} after FROM", _ONE_STREAM
+                )
             return (Arm(name, rule, has_star=True, items=(), where=None),)
         arms = [self.arm()]
         while self.unites():
             arms.append(self.arm())
-        if self.key() in _QUERY_NOT_YET or self.key() == ",":
-            self.refuse(f"{self.word_shown()} in a sub-query of FROM")
+        if self.key() in _OF_QUERIES or self.key() == ",":
+            self.refuse("second table in an arm" if self.key() == "," else f"{self.word_shown()} in an arm", _ONE_EVENT)
         self.expect(")")
         return tuple(arms)
 
@@ -142,7 +160,7 @@ class _Parser:
         name, rule = self.event_type()
         where = None
         if self.accept("WHERE"):
-            where = self.scalar("WHERE", stops=(*_QUERY_NOT_YET, "WINDOW", "QUALIFY"))
+            where = self.scalar("WHERE", stops=(*_OF_QUERIES, "WINDOW", "QUALIFY"))
         return Arm(name, rule, has_star, items, where)
 
     def event_type(self) -> tuple[Identifier, str | None]:
@@ -181,12 +199,12 @@ class _Parser:
     def end(self) -> None:
         if self.key() == ",":
             self.fail("wanted the end of the query, got ','; the parenthesis of MATCH_RECOGNIZE is closed before it")
-        if self.accept("AS") or (self.has_word() and self.key() not in (";", *_QUERY_NOT_YET)):
+        if self.accept("AS") or (self.has_word() and self.key() not in (";", *_OF_QUERIES)):
             self.identifier("a name for the result")
         while self.accept(";"):
             pass
-        if self.key() in _QUERY_NOT_YET:
-            self.refuse(f"{self.word_shown()} after MATCH_RECOGNIZE")
+        if self.key() in _OF_QUERIES:
+            self.refuse(f"{self.word_shown()} after MATCH_RECOGNIZE", _EACH_MATCH)
         if self.has_word():
             self.fail(f"wanted the end of the query, got {self.word_shown()}")
 
@@ -514,11 +532,8 @@ class _Parser:
     def fail(self, message: str) -> NoReturn:
         raise self.passage.error(message, self.offset())
 
-    def refuse(self, what: str) -> NoReturn:
-        self.refuse_at(what, self.offset())
-
-    def refuse_at(self, what: str, at: int) -> NoReturn:
-        raise self.passage.error(f"{what} is not supported yet", at, NotSupportedYet)
+    def refuse(self, what: str, why: str) -> NoReturn:
+        raise self.passage.error(f"rules have no {what}: {why}", self.offset(), NotInRules)
 
 
 def _height(tree: exp.Expr) -> int:

@@ -154,7 +154,9 @@ class _Asked:
         return Shortfall(self.told(expr), what, 2.0)
 
     def why_null(self, expr: Expr) -> str:
-        return " (there is no such row before it)" if isinstance(expr, Shift) and self.row < expr.rows else ""
+        if not isinstance(expr, Shift) or 0 <= self.row - expr.rows < self.judge.evaluator.rows.table.num_rows:
+            return ""
+        return f" (there is no such row {'before' if expr.rows > 0 else 'after'} it)"
 
     def none_of(self, parts: tuple[Expr, ...], is_wanted: bool) -> tuple[str, float]:
         """Why no part of a choice is as wanted."""
