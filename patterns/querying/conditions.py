@@ -5,7 +5,7 @@ a guard over the values of the row at hand and the registers. Guards compare and
 DuckDB would; for everything else they ask DuckDB, once for each combination of values.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NoReturn
 
@@ -68,6 +68,7 @@ class Conditions:
         number: The register of the match's number, after the others; None: nobody asks for it.
         leaves: Expressions over the input's columns, and how many rows further on they are read.
         slots: Expressions over the leaves, which registers and guards read.
+        places: Where predicates, leaves and slots were written first, by their text.
     """
 
     predicates: tuple[tuple[str, ...], ...]
@@ -77,6 +78,7 @@ class Conditions:
     number: int | None
     leaves: tuple[tuple[str, int], ...]
     slots: tuple[str, ...]
+    places: Mapping[str, int]
 
     def evaluated(self, symbols: Symbols, rows: OrderedRows) -> tuple[list[NDArray[np.bool_]], list[tuple[Any, ...]]]:
         """For each variable the rows whose predicates hold, and for each row the values of the slots.
@@ -86,19 +88,26 @@ class Conditions:
         """
         table = self.leaf_table(symbols, rows)
         asked = list(dict.fromkeys(each for every in self.predicates for each in every))
-        answers = symbols.duck.columns(table, [f"coalesce(({each}), false)" for each in asked])
+        answers = self.columns(symbols, table, asked, "coalesce(({}), false)")
         truths = {each: np.asarray(answer, dtype=bool) for each, answer in zip(asked, answers, strict=True)}
         true = np.ones(rows.table.num_rows, dtype=bool)
         able = [np.logical_and.reduce([true, *(truths[each] for each in every)]) for every in self.predicates]
-        slots = [values_of(column) for column in symbols.duck.columns(table, self.slots)]
+        slots = [values_of(column) for column in self.columns(symbols, table, self.slots)]
         return able, list(zip(*slots, strict=True)) if slots else [()] * rows.table.num_rows
 
     def leaf_table(self, symbols: Symbols, rows: OrderedRows) -> pa.Table:
         """The leaves as columns."""
         texts = list(dict.fromkeys(text for text, _ in self.leaves))
-        known = dict(zip(texts, symbols.duck.columns(rows.table, texts), strict=True))
+        known = dict(zip(texts, self.columns(symbols, rows.table, texts), strict=True))
         columns = {f"r{index}": rows.shifted(known[text], shift) for index, (text, shift) in enumerate(self.leaves)}
         return pa.table({"rows": pa.array(np.arange(rows.table.num_rows)), **columns})
+
+    def columns(
+        self, symbols: Symbols, table: pa.Table, texts: Sequence[str], form: str = "{}"
+    ) -> list[pa.ChunkedArray]:
+        """The expressions, each in this form, over the table."""
+        wanted = [form.format(text) for text in texts]
+        return symbols.evaluated(table, wanted, "DEFINE", [self.places[text] for text in texts])
 
 
 def conditions_of(symbols: Symbols) -> Conditions:
@@ -136,6 +145,7 @@ class _Builder:
         self.registers: dict[Register, int] = {}
         self.places: dict[str, _Place] = {}
         self.needs_number = False
+        self.written: dict[str, int] = {}
         self.predicates: list[tuple[str, ...]] = []
         self.guards: list[Guard | None] = []
         self.reads: list[frozenset[int]] = []
@@ -144,6 +154,7 @@ class _Builder:
         return Conditions(
             tuple(self.predicates), tuple(self.guards), tuple(self.reads), tuple(self.registers),
             len(self.registers) if self.needs_number else None, tuple(self.leaves), tuple(self.slots),
+            self.written,
         )  # fmt: skip
 
     def define(self, variable: int, scalar: Scalar | None) -> None:
@@ -162,7 +173,7 @@ class _Builder:
             is_row_local = all(name in self.leaf_types for name in _names(part))
             (predicates if is_row_local else dependent).append(part)
         whole = [self.lifted(part) for part in dependent]
-        self.predicates.append(tuple(sql_of(part) for part in predicates))
+        self.predicates.append(tuple(self.text(part) for part in predicates))
         self.reads.append(frozenset(at for part in whole for name in _names(part) for at in self.place(name).registers))
         self.guards.append(guards.every([self.compiled(part) for part in whole]) if whole else None)
 
@@ -255,7 +266,7 @@ class _Builder:
     def leaf(self, operand: exp.Expr, shift: int) -> exp.Expr:
         """The name of the operand's value at a row so many rows further on."""
         resolved = self.symbols.over_columns(operand, "DEFINE", self.scalar.at)
-        key = (sql_of(resolved), shift)
+        key = (self.text(resolved), shift)
         if key not in self.leaves:
             name = f"r{len(self.leaves)}"
             self.leaf_types[name] = self.symbols.check_types("DEFINE", self.scalar, resolved, self.symbols.types)
@@ -263,7 +274,13 @@ class _Builder:
         return exp.column(self.leaves[key])
 
     def slot(self, expression: exp.Expr) -> int:
-        return self.slots.setdefault(sql_of(expression), len(self.slots))
+        return self.slots.setdefault(self.text(expression), len(self.slots))
+
+    def text(self, expression: exp.Expr) -> str:
+        """The expression in SQL; where it was written is remembered."""
+        found = sql_of(expression)
+        self.written.setdefault(found, self.scalar.at)
+        return found
 
     def remembered(self, reading: RowReading) -> exp.Expr:
         leaf = self.leaf(reading.operand, reading.shift)
@@ -357,11 +374,13 @@ class _Builder:
         given = self.symbols.check_types("DEFINE", self.scalar, call, kinds | number)
         ask = Aggregated(self.symbols.duck, sql_of(call), kinds | number)
         indices = [index for index, _ in lists]
+        at = self.scalar.at
 
         def read(values: Sequence[Any], registers: Sequence[Any]) -> Any:
             number = registers[-1] if self.needs_number else 0
-            columns = [listed(registers[at]) for at in indices]
-            return ask([*columns, [number] * len(columns[0])])
+            columns = [listed(registers[index]) for index in indices]
+            with self.symbols.placed("DEFINE", at):
+                return ask([*columns, [number] * len(columns[0])])
 
         return self.new_place(_Place(given, read, frozenset(indices)))
 
@@ -477,7 +496,13 @@ class _Builder:
         kinds = {name: place.kind for name, place in zip(names, places, strict=True)}
         ask = Remembered(self.symbols.duck, sql_of(node), kinds)
         reads = [place.read for place in places]
-        return lambda values, registers: ask([read(values, registers) for read in reads])
+        at = self.scalar.at
+
+        def answer(values: Sequence[Any], registers: Sequence[Any]) -> Any:
+            with self.symbols.placed("DEFINE", at):
+                return ask([read(values, registers) for read in reads])
+
+        return answer
 
     def fail(self, message: str, node: exp.Expr) -> NoReturn:
         raise self.symbols.clause.passage.error(f"DEFINE: {message}", offset_of(node, self.scalar.at))

@@ -225,5 +225,5 @@ def quoted(name: str) -> str:
 
 
 def first_line(error: Exception) -> str:
-    """What DuckDB complains of, without its drawing."""
-    return str(error).split("\n", 1)[0]
+    """What DuckDB complains of, without its drawing and without a column's name, which is ours."""
+    return str(error).split("\n", 1)[0].split(" when casting from source column", 1)[0]
