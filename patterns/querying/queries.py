@@ -21,7 +21,7 @@ import duckdb
 import pyarrow as pa
 from sqlglot import exp
 
-from patterns.errors import QueryError, RuleError
+from patterns.errors import MatchError, QueryError, RuleError
 from patterns.language.dialect import ClauseDialect
 from patterns.language.lexemes import Kind, Lexeme, lexemes
 from patterns.language.navigation import offset_of
@@ -38,7 +38,7 @@ from patterns.language.statements import (
 from patterns.language.syntax import Clause, Named
 from patterns.language.text import Passage
 from patterns.limits import Limits
-from patterns.querying.duck import sql_of
+from patterns.querying.duck import first_line, sql_of
 from patterns.querying.recognition import recognise
 
 _CLAUSE = "MATCH_RECOGNIZE"
@@ -109,8 +109,15 @@ def connection() -> duckdb.DuckDBPyConnection:
 
 
 def register(opened: duckdb.DuckDBPyConnection, name: str, table: pa.Table) -> None:
-    """Make the table known by this name; of `schema.table` also in that schema."""
-    opened.register(name, table)
+    """Make the table known by this name; of `schema.table` also in that schema.
+
+    Raises:
+        MatchError: A column is of a type that DuckDB does not have, or there is none.
+    """
+    try:
+        opened.register(name, _distinctly_named(table))
+    except duckdb.Error as error:
+        raise MatchError(f"the table {name!r} is none that DuckDB reads: {first_line(error)}") from error
     schema, dot, inner = name.partition(".")
     if dot:
         opened.execute(f"create schema if not exists {_quoted(schema)}")

@@ -17,8 +17,9 @@ import duckdb
 import numpy as np
 import pyarrow as pa
 
+from patterns.binding.bound import Register
 from patterns.binding.program import ProgramTooLarge, Tables, compile_pattern, tabulate
-from patterns.binding.registers import initial, live_registers, update_of
+from patterns.binding.registers import Change, Update, initial, live_registers, update_of
 from patterns.engine.matcher import Block, Event, Found, Machine, Matcher, Partition, runs
 from patterns.engine.skipping import skip_error
 from patterns.errors import LimitError, MatchError, SkipError
@@ -265,11 +266,7 @@ class _Recognition:
         reads = [set(each) for each in conditions.reads]
         live = live_registers(tables, registers, reads)
         updates = [
-            tuple(
-                update_of(index, each, variable, self.limits.listed)
-                for index, each in enumerate(registers)
-                if each.takes(variable)
-            )
+            tuple(self.update(index, each, variable) for index, each in enumerate(registers) if each.takes(variable))
             for variable in range(count)
         ]
         target = self.clause.skip.variable
@@ -291,6 +288,11 @@ class _Recognition:
             threads_most=self.limits.threads,
             skip_error=partial(self.skip_error, rows),
         )
+
+    def update(self, index: int, register: Register, variable: int) -> Update:
+        """How a row of this variable changes the register; extremes as DuckDB has them."""
+        index, change, slot = update_of(index, register, variable, self.limits.listed)
+        return index, _EXTREMES.get(register.how, change), slot
 
     def put(self, search: "_Search", output: _Output, tables: Tables, begin: int, end: int) -> None:
         """One partition."""
@@ -421,6 +423,22 @@ class _Search:
                 f"{self.steps:,} steps so far over {rows:,} rows, and the limit `steps` is {most:,}. Next: ask for the "
                 "number in MEASURES, or let a start fail sooner, by WITHIN or a condition"
             )
+
+
+def _min(held: Any, value: Any) -> Any:
+    if held is None or value is None:
+        return value if held is None else held
+    return held if held <= value or value != value else value
+
+
+def _max(held: Any, value: Any) -> Any:
+    if held is None or value is None:
+        return value if held is None else held
+    return held if held >= value or held != held else value
+
+
+_EXTREMES: dict[str, Change] = {"min": _min, "max": _max}
+"""To DuckDB NaN, which does not equal itself, is greater than every number."""
 
 
 def _term(column: str, ordering: Ordering) -> str:

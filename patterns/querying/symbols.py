@@ -4,15 +4,18 @@ Checks the clause's own names, and turns expressions as written into expressions
 """
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import date, datetime, timedelta
 from typing import Any, NoReturn
 
 import duckdb
+import pyarrow as pa
 from sqlglot import exp
 
 from patterns.durations import microseconds
+from patterns.errors import MatchError
 from patterns.language.frames import frames_of
 from patterns.language.navigation import (
     NAVIGATION,
@@ -30,6 +33,8 @@ from patterns.querying.duck import Duck, aggregates, first_line, quoted, sql_of,
 
 _UNKNOWN_FUNCTION = re.compile(r"Function with name (\w+) does not exist")
 _OF_PATTERNS = ("PREV", "NEXT", "FIRST", "LAST", "CLASSIFIER", "MATCH_NUMBER")
+
+_OF_SEVERAL_ROWS = ("UNNEST", "GENERATE_SUBSCRIPTS")
 
 
 @dataclass(frozen=True)
@@ -114,6 +119,10 @@ class Symbols:
                 self._fail(clause, message, node, scalar)
             if isinstance(node, exp.Star) and not _is_counted(node):
                 self._fail(clause, "* stands in COUNT only", node, scalar)
+            if isinstance(node, exp.Comprehension):
+                self._fail(clause, "a list comprehension must not stand here; write list_transform(...)", node, scalar)
+            if isinstance(node, exp.Explode | exp.Unnest) or function_name(node) in _OF_SEVERAL_ROWS:
+                self._fail(clause, "UNNEST makes several rows of one; unnest the result outside", node, scalar)
             if isinstance(node, exp.Window):
                 self._fail(clause, "a window function must not stand here", node, scalar)
             if function_name(node) in unsteady_functions():
@@ -218,6 +227,32 @@ class Symbols:
         except duckdb.Error as error:
             message = f"{clause}: {first_line(error)}{_meant_function(error)}"
             raise self.clause.passage.error(message, scalar.at) from error
+
+    def evaluated(
+        self, table: pa.Table, expressions: Sequence[str], clause: str, at: Sequence[int]
+    ) -> list[pa.ChunkedArray]:
+        """For each expression its value at each row of the table; `at` is where each was written.
+
+        Raises:
+            MatchError: An expression fails on a row; it is named with its place.
+        """
+        try:
+            return self.duck.columns(table, expressions)
+        except MatchError:
+            for expression, place in zip(expressions, at, strict=True):
+                with self.placed(clause, place):
+                    self.duck.columns(table, [expression])
+            raise
+
+    @contextmanager
+    def placed(self, clause: str, at: int) -> Iterator[None]:
+        """A failure of an expression in the block gets the expression's place; a limit keeps its own words."""
+        try:
+            yield
+        except MatchError as error:
+            if type(error) is not MatchError:
+                raise
+            raise MatchError(str(self.clause.passage.error(f"{clause}: {error}", at))) from error
 
     def _fail(self, clause: str, message: str, node: exp.Expr, scalar: Scalar) -> NoReturn:
         raise self.clause.passage.error(f"{clause}: {message}", offset_of(node, scalar.at))
