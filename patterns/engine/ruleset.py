@@ -23,7 +23,7 @@ from events import EventType
 from patterns.binding.bound import BoundRule
 from patterns.binding.rows import Units, check_envelope, newest_of_units, with_envelope_encoded
 from patterns.engine.running import Counts, Outcome, Rows, RuleRun, as_table, wall_us
-from patterns.errors import MatchError, PatternError
+from patterns.errors import MatchError, PatternError, StateError
 from patterns.scene.site import Site
 
 if TYPE_CHECKING:
@@ -127,11 +127,11 @@ class RuleSetRun:
         name = name or bound.rule.rule
         if name in self._names:
             raise PatternError(f"the set has a rule {name} already. Next: remove it, or add this one by another name")
-        packed = self._packed(bound, state)
+        packed = self._packed(bound)
         if packed is None:
             self._add_alone(name, bound, state)
         else:
-            self._add_to_lane(name, packed, state)
+            self._add_to_lane(name, packed, None if state is None else _for_kernel(packed, state))
         self.failures.pop(name, None)
         self._names[name] = None
         self._spent_s[name] = 0.0
@@ -343,10 +343,9 @@ class RuleSetRun:
             return is_compiled()
         return self._uses_kernel
 
-    def _packed(self, bound: BoundRule, state: bytes | None) -> "Packed | None":
-        """The rule for the kernel; None: it runs alone. A state goes on where it was made."""
-        is_of_kernel = state is not None and state.startswith(KERNEL_STATE)
-        if not is_of_kernel and (state is not None or not self._may_use_kernel):
+    def _packed(self, bound: BoundRule) -> "Packed | None":
+        """The rule for the kernel; None: it runs alone."""
+        if not self._may_use_kernel:
             return None
         from patterns.engine.packed import NotPacked, pack
 
@@ -383,7 +382,7 @@ class RuleSetRun:
     def _add_alone(self, name: str, bound: BoundRule, state: bytes | None) -> None:
         run = RuleRun(bound, is_strict=self._is_strict)
         if state is not None:
-            run.restore(state)
+            run.restore(_for_general(bound, state))
         else:
             run.know(self._site)
         self._alone[name] = run
@@ -401,6 +400,26 @@ def merged(parts: Iterable[Mapping[str, Outcome]]) -> Outcomes:
         for name, outcome in part.items():
             whole[name] = whole[name] + outcome if name in whole else outcome
     return whole
+
+
+def _for_kernel(packed: "Packed", state: bytes) -> bytes:
+    """The state as one of a rule on the kernel."""
+    from patterns.engine.moving import moved_to_kernel
+
+    return state if state.startswith(KERNEL_STATE) else moved_to_kernel(packed, state)
+
+
+def _for_general(bound: BoundRule, state: bytes) -> bytes:
+    """The state as one of a rule on the general matcher."""
+    if not state.startswith(KERNEL_STATE):
+        return state
+    from patterns.engine.moving_back import moved_from_kernel
+    from patterns.engine.packed import NotPacked, pack
+
+    try:
+        return moved_from_kernel(pack(bound), state)
+    except NotPacked as error:
+        raise StateError(f"the saved state is of the kernel, which does not run the rule any more: {error}") from error
 
 
 def _pushed(run: RuleRun, rows: Rows) -> Outcome:
