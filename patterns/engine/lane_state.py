@@ -307,8 +307,7 @@ def _insert(lane: Lane, at: int, saved: Saved) -> None:
     ordinals = integers_of(saved.tables["last_ordinals"])[:, 0]
     known = lane.state.last_ordinals[partitions]
     _renumber_rows(pools, np.where(known < 0, 0, known - ordinals))
-    has_values = header.get("has_last_values", True)
-    _insert_rows(lane, packed, partitions, last_rows, ordinals, own, has_values=has_values)
+    _insert_rows(lane, packed, partitions, last_rows, ordinals, own)
     lane.tails.insert(partitions, saved.tables["tails"])
     lane.state = _with_pools(lane.state, at, pools, partitions, header["due_us"])
 
@@ -341,22 +340,25 @@ def _reached(count: int, roots: tuple[Integers, Integers], following: Integers) 
 
 
 def _insert_rows(
-    lane: Lane, packed: Packed, partitions: Integers, last_rows: Integers, ordinals: Integers, own: Layout, *,
-    has_values: bool,
-) -> None:  # fmt: skip
+    lane: Lane, packed: Packed, partitions: Integers, last_rows: Integers, ordinals: Integers, own: Layout
+) -> None:
     state, layout = lane.state, lane.layout
     moved = _moved(last_rows, own, layout, packed)
     is_new = state.last_ordinals[partitions] < 0
     state.last_rows[partitions[is_new]] = moved[is_new]
     state.last_ordinals[partitions[is_new]] = ordinals[is_new]
-    if not has_values:
-        return
     known, mine = partitions[~is_new], moved[~is_new]
     first = k.R_BITS + layout.words
     held = state.last_rows[known]
-    held[:, k.R_NULLS : first] |= mine[:, k.R_NULLS : first]
-    columns = [first + layout.slots[slot] for slot in packed.slots]
-    held[:, columns] = mine[:, columns]
+    held[:, k.R_BITS : first] |= mine[:, k.R_BITS : first]
+    said = {slot for member in lane.members[:-1] for slot in member.packed.slots}
+    for slot in packed.slots:
+        number = layout.slots[slot]
+        bit = np.int64(1) << number
+        # A rule that came from the general matcher says NULL of a row that others know.
+        is_mine = mine[:, k.R_NULLS] & bit == 0 if slot in said else np.ones(len(mine), dtype=np.bool_)
+        held[is_mine, first + number] = mine[is_mine, first + number]
+        held[is_mine, k.R_NULLS] = (held[is_mine, k.R_NULLS] & ~bit) | (mine[is_mine, k.R_NULLS] & bit)
     state.last_rows[known] = held
 
 

@@ -48,9 +48,7 @@ def moved_to_kernel(packed: Packed, state: bytes) -> bytes:
     for number, (_, remembered) in enumerate(partitions):
         pools.add(number, remembered)
     states = [remembered for _, remembered in partitions]
-    header |= {
-        "texts": pools.texts.known, "key_texts": keys.texts.known, "due_us": pools.due_us, "has_last_values": False
-    }  # fmt: skip
+    header |= {"texts": pools.texts.known, "key_texts": keys.texts.known, "due_us": pools.due_us}
     tables = {name: table_of(integers) for name, integers in pools.tables().items()} | {
         "keys": table_of(keys.table[: keys.count]),
         "last_rows": table_of(_last_rows(packed, states)),
@@ -169,6 +167,7 @@ def _last_rows(packed: Packed, states: Sequence[Open]) -> Integers:
         last = remembered.partition.last
         assert last is not None, "what is remembered of a partition comes from its rows"
         record[k.R_STREAM], record[k.R_SEQUENCE], record[k.R_TIME] = last
+        record[k.R_NULLS] = (1 << len(layout.slots)) - 1
     return rows
 
 

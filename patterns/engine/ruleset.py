@@ -89,6 +89,7 @@ class RuleSetRun:
         self._clock = clock
         self._is_strict = is_strict
         self._alone: dict[str, RuleRun] = {}
+        self._stays_alone: set[str] = set()
         self._lanes: list[Lane] = []
         self._lane_of: dict[str, Lane] = {}
         self._names: dict[str, None] = {}
@@ -145,6 +146,19 @@ class RuleSetRun:
         if self.failures.pop(name, None) is None:
             self._check_has(name)
             self._drop(name)
+
+    def use_kernel(self) -> None:
+        """Rules that came before the kernel was compiled go on on it, if it is by now and can express them."""
+        waiting = [name for name in self._alone if name not in self._stays_alone]
+        if self._uses_kernel is not None or not waiting or not self._may_use_kernel:
+            return
+        for name in waiting:
+            packed = self._packed(self._alone[name].bound)
+            if packed is None:
+                self._stays_alone.add(name)
+                continue
+            self._add_to_lane(name, packed, _for_kernel(packed, self._alone[name].state()))
+            del self._alone[name]
 
     def state(self, name: str) -> bytes:
         """All that the rule remembers; `add` goes on from it.
@@ -329,6 +343,7 @@ class RuleSetRun:
         del self._names[name], self._spent_s[name]
         if name in self._alone:
             del self._alone[name]
+            self._stays_alone.discard(name)
             return
         lane = self._lane_of.pop(name)
         lane.drop(name)
