@@ -37,6 +37,12 @@ settings.register_profile("vian", deadline=None, suppress_health_check=[HealthCh
 settings.load_profile("vian")
 
 
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Whatever the order, the slow tests come first, so that no worker has one left when the others are done."""
+    items.sort(key=lambda item: item.get_closest_marker("slow") is None)
+
+
 class Server:
     """A running PostgreSQL with a migrated template database."""
 
@@ -74,7 +80,8 @@ class Server:
     def create_database(self, template: str = TEMPLATE) -> str:
         """Name of a new database, a clone of the template."""
         name = f"log_{next(self._numbers)}"
-        self.execute(f"create database {name} template {template}")
+        # Copied as files: a third of the time that a clone through the write-ahead log takes.
+        self.execute(f"create database {name} template {template} strategy file_copy")
         return name
 
     def drop_database(self, name: str) -> None:

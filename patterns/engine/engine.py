@@ -9,6 +9,7 @@ integers. It knows nothing of watermarks; `patterns.run` releases the rows.
 import heapq
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import count
 from typing import Any
 
@@ -25,6 +26,7 @@ from patterns.binding.registers import live_registers as _live
 from patterns.binding.rows import SEQUENCE, STREAM, TIME, partition_codes
 from patterns.engine.ahead import Ahead, Needs, Release, moved, run
 from patterns.engine.matcher import Block, Event, Found, Loss, Machine, Matcher, Partition
+from patterns.engine.skipping import rule_skip_error
 from patterns.engine.timers import TimedMatcher, timers_of
 from patterns.errors import LimitError
 from patterns.scene.places import Places
@@ -397,6 +399,7 @@ def machine_of(bound: BoundRule, places: Places, masks: tuple[int, ...], *, is_s
         skip=bound.skip,
         skip_variables=bound.skip_variables,
         threads_most=bound.limits.threads,
+        skip_error=partial(rule_skip_error, bound),
         is_strict=is_strict,
     )
 

@@ -33,8 +33,9 @@ from patterns.engine.pools import Shape, grown, new_scratch, new_state, with_par
 from patterns.engine.records import ROW_COLUMNS, STREAM_COLUMNS, Arrived, Layout, Recorder, RowEvaluator
 from patterns.engine.running import Counts, GivenUp, Outcome, decided_order, needs
 from patterns.engine.situations import EventRef, Match, Narrator, as_python, event_ref, nearest_time
+from patterns.engine.skipping import rule_skip_error
 from patterns.engine.tails import Tails
-from patterns.errors import CalibrationUnknown, FrameSizeUnknown, LimitError, MatchError, PatternError, SkipError
+from patterns.errors import CalibrationUnknown, FrameSizeUnknown, LimitError, MatchError, PatternError
 from patterns.limits import Limits
 from patterns.scene.places import Places
 from patterns.scene.site import Site
@@ -566,11 +567,11 @@ class Lane:
         member.failure = member.failure or _in_own_names(member, error)
         self.state.failures[at] = -1
 
-    def _note_failures(self) -> None:
+    def _note_failures(self, found: FoundByRule) -> None:
         for at in np.flatnonzero(self.state.failures).tolist():
             member, failure = self.members[at], int(self.state.failures[at])
-            if failure > 0:
-                member.failure = _error_of(member.bound, failure)
+            if failure > 0 and member.failure is None:
+                member.failure = _error_of(member.bound, failure, found.get(at, ()))
 
     # From what was found to situations.
 
@@ -581,8 +582,8 @@ class Lane:
         found: FoundByRule | None = None,
     ) -> list[dict[str, Outcome]]:
         """What units led to for each rule, see `_advanced`; what was found is taken from the kernel unless it was."""
-        self._note_failures()
         found = self._found() if found is None else found
+        self._note_failures(found)
         outcomes: list[dict[str, Outcome]] = [{} for _ in late]
         marks = [_BEFORE_ALL_US if each is None else each for each in reached]
         for at, member in enumerate(self.members):
@@ -831,12 +832,11 @@ def _reader(bound: BoundRule, at: int) -> Kind | None:
     return bound.slots[register.slot].kind
 
 
-def _error_of(bound: BoundRule, failure: int) -> PatternError:
-    skip = f"AFTER MATCH SKIP {bound.skip.value}"
-    if failure == k.SKIP_NOWHERE:
-        return SkipError(f"{skip}: the variable is not in the match")
-    if failure == k.SKIP_FOR_EVER:
-        return SkipError(f"{skip}: it goes to the first row of the match, for ever")
+def _error_of(bound: BoundRule, failure: int, found: Sequence[tuple[tuple[Any, ...], Found]]) -> PatternError:
+    """What the kernel means by this; of what it found, the match at which it went no further is the last."""
+    if failure in (k.SKIP_NOWHERE, k.SKIP_FOR_EVER):
+        _, last = found[-1]
+        return rule_skip_error(bound, last.first, last.ending.event, failure == k.SKIP_FOR_EVER)
     return LimitError(
         f"a partition has more partial matches than the limit `threads`, {bound.limits.threads}. "
         "Begin the pattern with a rarer row, or shorten WITHIN"

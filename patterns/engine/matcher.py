@@ -52,6 +52,8 @@ class Machine:
         skip: Where the search goes on after a match.
         skip_variables: Indices of the variables that SKIP TO means.
         threads_most: The limit `threads`, for one partition.
+        skip_error: What is raised where a match, from its first to its last row, has no row to skip to; asked with
+            whether the variable is there: then it is the match's first row.
         is_strict: Whether that limit is an error; else what is remembered of the partition is given up.
     """
 
@@ -65,6 +67,7 @@ class Machine:
     skip: SkipMode
     skip_variables: tuple[int, ...]
     threads_most: int
+    skip_error: Callable[[Event, Event, bool], SkipError]
     is_strict: bool = True
 
     @property
@@ -369,7 +372,7 @@ class Matcher:
         while attempts and not attempts[0].threads:
             attempt = attempts.pop(0)
             if attempt.ending is not None:
-                resume = self.resume(attempt.ordinal, attempt.ending)
+                resume = self.resume(attempt.event, attempt.ordinal, attempt.ending)
                 number = self._count(partition, attempt.ordinal, resume)
                 found.append(Found(attempt.event, attempt.ending, decided_us, decided_by, number))
                 attempts[:] = [later for later in attempts if later.ordinal >= resume]
@@ -386,8 +389,8 @@ class Matcher:
         partition.resumed = resume
         return partition.number
 
-    def resume(self, start: int, ending: Ending) -> int:
-        """The number of the row where the search goes on after the match that begins at row `start`.
+    def resume(self, first: Event, start: int, ending: Ending) -> int:
+        """The number of the row where the search goes on after the match that begins at row `start`, which is `first`.
 
         Raises:
             SkipError: There is none.
@@ -398,10 +401,8 @@ class Matcher:
         if skip is SkipMode.TO_NEXT_ROW:
             return start + 1
         target = _skip_target(ending.trace, self.machine.skip_variables, is_first=skip is SkipMode.TO_FIRST)
-        if target is None:
-            raise SkipError(f"AFTER MATCH SKIP {skip.value}: the variable is not in the match")
-        if target == start:
-            raise SkipError(f"AFTER MATCH SKIP {skip.value}: it goes to the first row of the match, for ever")
+        if target is None or target == start:
+            raise self.machine.skip_error(first, ending.event, target is not None)
         return target
 
 

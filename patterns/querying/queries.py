@@ -33,6 +33,8 @@ from patterns.querying.duck import sql_of
 from patterns.querying.recognition import recognise
 
 _CLAUSE = "MATCH_RECOGNIZE"
+_LISTED_MOST = 10_000
+"""Values that the sub-query of IN in MEASURES may give."""
 _STANDS_ALONE = (
     "the input of MATCH_RECOGNIZE is a query of its own: it does not see columns of the query around it, and "
     "LATERAL or correlated input is not supported"
@@ -228,7 +230,7 @@ def _run(passage: Passage, statement: Statement, opened: duckdb.DuckDBPyConnecti
 
 
 def _with_values(clause: Clause, opened: duckdb.DuckDBPyConnection) -> Clause:
-    """The clause with the value of each scalar sub-query of MEASURES in its place; such a query sees tables only."""
+    """The clause with the values of sub-queries of MEASURES in their places; such a query sees tables only."""
 
     def settled(measure: Named) -> Named:
         node: Any = measure.value.node.transform(lambda part: _value_of(part, clause.passage, measure.value.at, opened))
@@ -238,13 +240,43 @@ def _with_values(clause: Clause, opened: duckdb.DuckDBPyConnection) -> Clause:
 
 
 def _value_of(node: exp.Expression, passage: Passage, at: int, opened: duckdb.DuckDBPyConnection) -> exp.Expr:
-    """The node; of a scalar sub-query or EXISTS its value."""
+    """The node; of a scalar sub-query or EXISTS its value, of IN with a sub-query IN with what that gives."""
+    if isinstance(node, exp.In) and node.args.get("query") is not None:
+        return _among_values(node, passage, at, opened)
     is_compared = isinstance(node.parent, exp.In | exp.Any | exp.All)
     if not isinstance(node, exp.Exists | exp.Subquery) or is_compared:
         return node
     at = offset_of(node, at)
     sql = f"SELECT CAST(value AS VARCHAR) AS text, typeof(value) AS kind FROM (SELECT {sql_of(node)} AS value)"
     (found,) = _run(passage, Statement(sql, (0,), ((at, at + 1),)), opened).to_pylist()
+    return _typed_value(found)
+
+
+def _among_values(node: exp.In, passage: Passage, at: int, opened: duckdb.DuckDBPyConnection) -> exp.Expr:
+    """IN with the values of its sub-query written out; nothing is among none."""
+    query = node.args["query"]
+    at = offset_of(query, offset_of(node, at))
+    place = ((at, at + 1),)
+    columns = _run(passage, Statement(f"SELECT * FROM {sql_of(query)} LIMIT 0", (0,), place), opened).num_columns
+    if columns != 1:
+        raise passage.error(f"MEASURES: the sub-query of IN gives one column, got {columns}", at)
+    sql = (
+        "SELECT DISTINCT CAST(value AS VARCHAR) AS text, typeof(value) AS kind "
+        f"FROM {sql_of(query)} AS listed(value) LIMIT {_LISTED_MOST + 1}"
+    )
+    found = _run(passage, Statement(sql, (0,), place), opened).to_pylist()
+    if len(found) > _LISTED_MOST:
+        message = f"MEASURES: the sub-query of IN gives at most {_LISTED_MOST:,} different values, got more"
+        raise passage.error(f"{message}. Next: join it outside", at)
+    if not found:
+        return exp.false()
+    values = [_typed_value(each) for each in found]
+    operand = node.this.transform(lambda part: _value_of(part, passage, at, opened))
+    return exp.In(this=operand, expressions=values)
+
+
+def _typed_value(found: dict[str, Any]) -> exp.Expr:
+    """A value that DuckDB gave as text and type, as an expression."""
     value = exp.null() if found["text"] is None else exp.Literal.string(found["text"])
     return value if found["kind"] == '"NULL"' else exp.cast(value, found["kind"], dialect=ClauseDialect)
 

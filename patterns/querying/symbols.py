@@ -100,7 +100,8 @@ class Symbols:
         """
         for node in scalar.node.walk():
             if isinstance(node, exp.Query | exp.Exists | exp.Subquery) or node.args.get("query"):
-                self._fail(clause, "a sub-query must not stand here; join its result outside", node, scalar)
+                message = "a sub-query must not stand here, but in MEASURES as a value, in EXISTS or behind IN"
+                self._fail(clause, message, node, scalar)
             if isinstance(node, exp.Star) and not _is_counted(node):
                 self._fail(clause, "* stands in COUNT only", node, scalar)
             if isinstance(node, exp.Window):

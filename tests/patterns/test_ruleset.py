@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from patterns import BoundRule, Match, Outcome, PatternError, RuleRun, RuleSetRun, SkipError, bind
+from patterns import BoundRule, Match, Outcome, PatternError, RuleRun, RuleSetRun, SkipError, bind, match
 from patterns.engine.compiling import compile_kernel
 from patterns.engine.ruleset import Outcomes, merged
 from tests.patterns.samples import SCHEMAS, define_letters, letter_rows, letter_rule, letters
@@ -85,6 +85,20 @@ def test_a_rule_that_raises_is_set_aside_and_named_and_the_others_go_on() -> Non
     assert len(_matches(found, BOUNDS[0])) > 0
     group.add(FAILING)
     assert group.failures == {}, "a rule that comes back is tried anew"
+
+
+@pytest.mark.parametrize("skip", ["TO LAST B", "TO FIRST A"])
+@pytest.mark.parametrize("uses_kernel", [True, False])
+def test_a_skip_to_nowhere_names_the_match_on_either_road(skip: str, uses_kernel: bool) -> None:
+    failing = bind(letter_rule("A B? C", define_letters("ABC"), skip=skip), SCHEMAS)
+    rows = letters("bac" if skip == "TO LAST B" else "babc")
+    with pytest.raises(SkipError) as alone:
+        match(failing, rows)
+    group = RuleSetRun([failing], uses_kernel=uses_kernel)
+    group.push(rows)
+    group.finish()
+    assert str(group.failures["sample"]) == str(alone.value)
+    assert "match from 2026-01-01T10:00:01Z (sequence 1) to 2026-01-01T10:00:0" in str(alone.value)
 
 
 def test_a_rule_that_comes_later_knows_the_frame_sizes() -> None:

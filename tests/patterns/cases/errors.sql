@@ -411,8 +411,8 @@ SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES (SELECT ▸A.id) AS i PATT
 SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES (SELECT ▸id FROM t) AS i PATTERN (A))
 --- error More than one row
 
---- case a list in measures that a sub-query makes
-SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES ▸id IN (SELECT 1) AS i PATTERN (A))
+--- case a comparison in measures with all that a sub-query gives
+SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES id = ANY (SELECT ▸1) AS i PATTERN (A))
 --- error sub-query
 
 --- case a parenthesis of PATTERN that is not closed
@@ -514,3 +514,15 @@ SELECT * FROM t MATCH_RECOGNISE (▸ORDER BY id MEASURES A.x AS i PATTERN (A))
 --- case MATCH_RECOGNIZE without a parenthesis
 SELECT * FROM t MATCH_RECOGNIZE ORDER BY id ▸PATTERN (A)
 --- error MATCH_RECOGNIZE wants a parenthesis behind it, got ORDER
+
+--- case IN over a sub-query of two columns
+SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES A.x IN (SELECT ▸id, x FROM t) AS i PATTERN (A))
+--- error MEASURES: the sub-query of IN gives one column, got 2
+
+--- case IN over a sub-query that sees the match
+SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES A.x IN (SELECT ▸x FROM t WHERE id = A.id) AS i PATTERN (A))
+--- error Referenced table "A" not found
+
+--- case a sub-query in DEFINE
+SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES id AS i PATTERN (A) DEFINE A AS ▸A.x IN (SELECT x FROM t))
+--- error but in MEASURES as a value, in EXISTS or behind IN
