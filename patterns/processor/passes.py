@@ -129,6 +129,11 @@ class Pass:
         """All that the rule's run remembers."""
         return self._sets[member.types].state(member.name)
 
+    def use_kernel(self) -> None:
+        """Rules that came before the kernel was compiled go on on it, if it is by now."""
+        for rules in self._sets.values():
+            rules.use_kernel()
+
     def status(self, member: Member) -> RuleStatus:
         """How the rule stands."""
         return self._sets[member.types].status(member.name)
