@@ -1,6 +1,7 @@
 """A situation's title: the rule's text with names in braces, and values in their place."""
 
 import re
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime, timedelta
 from string import Formatter
 
@@ -44,35 +45,25 @@ def check_formats(rule: Rule, kinds: dict[str, Kind]) -> None:
         RuleError: A format that values of the type do not have.
     """
     try:
-        filled_title(rule.title, {name: _SAMPLES[kind] for name, kind in kinds.items()})
+        filled_titles(rule.title, {name: [_SAMPLES[kind]] for name, kind in kinds.items()}, 1)
     except (ValueError, OverflowError) as error:
         raise rule.error(f"title: {error}", "title") from error
 
 
-def filled_title(title: str, values: dict[str, Scalar]) -> str:
-    """The title with each `{name}` or `{name:format}` in its place; NULL is shown as `?`."""
-    return title.format_map(_AllShown(values))
+def filled_titles(title: str, columns: Mapping[str, Sequence[Scalar]], count: int) -> list[str]:
+    """So many titles, each `{name}` or `{name:format}` in its place; NULL is shown as `?`."""
+    parts = [(text.replace("%", "%%"), name, spec or "") for text, name, spec, _ in Formatter().parse(title)]
+    shown = [[_shown(value, spec) for value in columns[name]] for _, name, spec in parts if name is not None]
+    template = "".join(text if name is None else f"{text}%s" for text, name, _ in parts)
+    return [template % values for values in zip(*shown, strict=True)] if shown else [template % ()] * count
 
 
-class _AllShown(dict[str, Scalar]):
-    """Values by name; each is made ready to be shown when it is asked for."""
-
-    def __getitem__(self, name: str) -> "_Shown":  # type: ignore[override]
-        return _Shown(super().__getitem__(name))
-
-
-class _Shown:
+def _shown(value: Scalar, spec: str) -> str:
     """A value as a title shows it."""
-
-    def __init__(self, value: Scalar) -> None:
-        self.value = value
-
-    def __format__(self, spec: str) -> str:
-        value = self.value
-        if value is None:
-            return "?"
-        if isinstance(value, timedelta):
-            return f"{value.total_seconds():{spec or 'g'}} s"
-        if spec:
-            return format(value, spec)
-        return value.isoformat().replace("+00:00", "Z") if isinstance(value, datetime) else str(value)
+    if value is None:
+        return "?"
+    if isinstance(value, timedelta):
+        return f"{value.total_seconds():{spec or 'g'}} s"
+    if spec:
+        return format(value, spec)
+    return value.isoformat().replace("+00:00", "Z") if isinstance(value, datetime) else str(value)

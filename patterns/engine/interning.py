@@ -111,15 +111,14 @@ class Keys:
 
     def key(self, number: int) -> tuple[Any, ...]:
         """The partition columns of a partition."""
-        return self.keys(np.array([number]))[0]
+        return tuple(value for (value,) in self.columns(np.array([number])))
 
-    def keys(self, numbers: Integers) -> list[tuple[Any, ...]]:
-        """The partition columns of partitions."""
+    def columns(self, numbers: Integers) -> list[list[Any]]:
+        """By partition column its values of these partitions."""
         words = self.table[numbers]
-        columns = [
+        return [
             as_values(words[:, at], words[:, -1] >> at & 1 != 0, kind, self.texts) for at, kind in enumerate(self.kinds)
         ]
-        return list(zip(*columns, strict=True)) if columns else [()] * len(numbers)
 
     def kept(self, numbers: Integers) -> "Keys":
         """Keys that know only these partitions, numbered in this order."""

@@ -5,7 +5,6 @@ rows until they are final, groups them by partition in the total order, asks eac
 for all rules, and makes situations of what the kernel finds. Rules join a lane before its first row.
 """
 
-from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
@@ -25,13 +24,13 @@ from patterns.durations import microseconds
 from patterns.engine import kernel as k
 from patterns.engine.clock import Clock
 from patterns.engine.emitter import Emitter
+from patterns.engine.finds import Events, Finds
 from patterns.engine.interning import Keys, Texts, as_values
 from patterns.engine.kernel import Integers
-from patterns.engine.matcher import Ending, Event, Found, Trace
 from patterns.engine.packed import Assembly, Packed
 from patterns.engine.pools import Shape, grown, new_scratch, new_state, with_partitions, with_partitions_kept
 from patterns.engine.records import ROW_COLUMNS, STREAM_COLUMNS, Arrived, Layout, Recorder, RowEvaluator
-from patterns.engine.running import Counts, GivenUp, Outcome, decided_order, needs
+from patterns.engine.running import Counts, GivenUp, Outcome, needs
 from patterns.engine.situations import EventRef, Match, Narrator, as_python, event_ref, nearest_time
 from patterns.engine.tails import Tails
 from patterns.errors import CalibrationUnknown, FrameSizeUnknown, LimitError, MatchError, PatternError, SkipError
@@ -42,8 +41,6 @@ from patterns.scene.site import Site
 SLOTS_MOST = 62
 _PARTITIONS_LEAST = 1 << 15
 """Partitions below which forgetting them is not worth while."""
-FoundByRule = dict[int, list[tuple[tuple[Any, ...], Found]]]
-"""By the rule's place what was found: the partition's key, and the match."""
 _WAITING_TABLES_MOST = 32
 """Tables of rows that wait, each of which is looked at in each step."""
 _BEFORE_ALL_US = -(2**63)
@@ -137,6 +134,14 @@ class _Grouped:
     partitions: Integers
     bounds: Integers
     order: Integers
+
+
+@dataclass(frozen=True, slots=True)
+class _Found:
+    """What was found of one rule, and the kernel's records of it."""
+
+    finds: Finds
+    records: Integers
 
 
 class Lane:
@@ -578,7 +583,7 @@ class Lane:
         self,
         late: Sequence[tuple[EventRef, ...]],
         reached: Sequence[int | None],
-        found: FoundByRule | None = None,
+        found: dict[int, _Found] | None = None,
     ) -> list[dict[str, Outcome]]:
         """What units led to for each rule, see `_advanced`; what was found is taken from the kernel unless it was."""
         self._note_failures()
@@ -604,7 +609,7 @@ class Lane:
                     outcome[member.name] = Outcome(tuple(matches[unit]), late[unit], given_up if is_last else ())
         return outcomes
 
-    def _found(self) -> FoundByRule:
+    def _found(self) -> dict[int, _Found]:
         """By rule what was found."""
         state = self.state
         count = int(state.controls[k.FOUND])
@@ -618,28 +623,27 @@ class Lane:
         records, threads = state.found[:count].copy(), state.found[:count, k.F_THREAD]
         words, nulls = state.registers[threads], state.threads[threads, k.T_NULLS]
         k.clear_found(state)
-        keys, listed, ends_of = self.keys.keys(records[:, k.F_PARTITION]), runs[:total].tolist(), [*ends.tolist(), 0]
         is_match = records[:, k.F_HOW] != k.GIVEN_UP
         for at in np.flatnonzero(~is_match).tolist():
             member, record = self.members[records[at, k.F_RULE]], records[at].tolist()
-            self._note_given_up(member, keys[at], record[k.F_END_ORDINAL], record[k.F_TIME])
-        found: dict[int, list[tuple[tuple[Any, ...], Found]]] = {}
+            key = self.keys.key(record[k.F_PARTITION])
+            self._note_given_up(member, key, record[k.F_END_ORDINAL], record[k.F_TIME])
+        begins, ranks = np.concatenate(([0], ends[:-1])), self.streams.ranks()
+        found: dict[int, _Found] = {}
         for rule in np.unique(records[is_match, k.F_RULE]).tolist():
             own = np.flatnonzero(is_match & (records[:, k.F_RULE] == rule))
+            own = own[_decided_order(records[own], ranks)]
             registers = self._registers(self.members[rule], words[own], nulls[own])
-            found[rule] = [
-                (keys[at], _found_of(record, remembered, listed[ends_of[at - 1] : ends_of[at]]))
-                for at, record, remembered in zip(own.tolist(), records[own].tolist(), registers, strict=True)
-            ]
+            keys = self.keys.columns(records[own, k.F_PARTITION])
+            found[rule] = _Found(_finds(records[own], keys, registers, runs, begins[own], ends[own]), records[own])
         return found
 
-    def _registers(self, member: Member, words: Integers, nulls: Integers) -> list[tuple[Any, ...]]:
-        """What matches of the rule remember."""
-        columns = [
+    def _registers(self, member: Member, words: Integers, nulls: Integers) -> list[list[Any]]:
+        """What matches of the rule remember, by register."""
+        return [
             words[:, at].tolist() if kind is None else as_values(words[:, at], nulls >> at & 1 != 0, kind, self.texts)
             for at, kind in enumerate(member.readers)
         ]
-        return list(zip(*columns, strict=True)) if columns else [()] * len(words)
 
     def _note_given_up(self, member: Member, key: tuple[Any, ...], threads: int, since_us: int) -> None:
         partition = self._partition_of(key)
@@ -650,17 +654,15 @@ class Lane:
         parts = zip(self.input.keys, key, self.input.kinds, strict=True)
         return {name: as_python(value, kind) for name, value, kind in parts}
 
-    def _emitted(
-        self, member: Member, found: list[tuple[tuple[Any, ...], Found]], marks: Sequence[int]
-    ) -> list[tuple[int, Match]]:
+    def _emitted(self, member: Member, found: _Found, marks: Sequence[int]) -> list[tuple[int, Match]]:
         """The matches that become situations, in the order in which they were decided, with the unit that did it."""
-        newest_us, names = self.clock.newest_us(), self.streams.names
-        matches = []
-        for key, each in sorted(found, key=lambda pair: decided_order(pair[1], names)):
-            made = member.narrator.match(key, each)
-            now_us = newest_us if each.decided_us is None else each.decided_us
-            if member.emitter.lets_through(made, now_us):
-                matches.append((_unit_of(each, marks), made))
+        newest_us, finds = self.clock.newest_us(), found.finds
+        made = zip(_units_of(found.records, marks), member.narrator.matches(finds), finds.decided_us, strict=True)
+        lets_through = member.emitter.lets_through
+        matches = [
+            (unit, match) for unit, match, at_us in made
+            if lets_through(match, newest_us if at_us is None else at_us)
+        ]  # fmt: skip
         member.matches += len(matches)
         return matches
 
@@ -786,12 +788,54 @@ class Lane:
         return total
 
 
-def _unit_of(found: Found, marks: Sequence[int]) -> int:
-    """The unit that made the match final: a row is once the watermark lies behind it, a time once it is reached."""
-    if len(marks) == 1 or found.decided_us is None:
-        return 0
-    after = bisect_left if found.decided_by is None else bisect_right
-    return after(marks, found.decided_us)
+def _finds(
+    records: Integers,
+    keys: list[list[Any]],
+    registers: list[list[Any]],
+    runs: Integers,
+    begins: Integers,
+    ends: Integers,
+) -> Finds:
+    """The matches of these records, by column."""
+
+    def events(stream: int, sequence: int, time: int) -> Events:
+        return Events(records[:, stream].tolist(), records[:, sequence].tolist(), records[:, time].tolist())
+
+    decided_us: list[int | None] = records[:, k.F_DECIDED_TIME].tolist()
+    for at in np.flatnonzero(records[:, k.F_HOW] == k.BY_END).tolist():
+        decided_us[at] = None
+    return Finds(
+        keys=keys,
+        first=events(k.F_STREAM, k.F_SEQUENCE, k.F_TIME),
+        last=events(k.F_END_STREAM, k.F_END_SEQUENCE, k.F_END_TIME),
+        decided_us=decided_us,
+        registers=registers,
+        runs=runs,
+        begins=begins,
+        ends=ends,
+    )
+
+
+def _decided_order(records: Integers, ranks: Integers) -> Integers:
+    """The order of `patterns.engine.running.decided_order`, in which rows decide what no time does."""
+    by_row, by_end = records[:, k.F_HOW] == k.BY_ROW, records[:, k.F_HOW] == k.BY_END
+    decided = [
+        np.where(by_end, 0, records[:, k.F_DECIDED_TIME]),
+        by_row,
+        ranks[np.where(by_row, records[:, k.F_DECIDED_STREAM], 0)] * by_row,
+        np.where(by_row, records[:, k.F_DECIDED_SEQUENCE], 0),
+    ]
+    first = [records[:, k.F_TIME], ranks[records[:, k.F_STREAM]], records[:, k.F_SEQUENCE]]
+    return np.lexsort([by_end, *decided, *first][::-1])
+
+
+def _units_of(records: Integers, marks: Sequence[int]) -> list[int]:
+    """The units that made matches final: a row is once the watermark lies behind it, a time once it is reached."""
+    decided_us = records[:, k.F_DECIDED_TIME]
+    reached, passed = (np.searchsorted(marks, decided_us, side=side) for side in ("left", "right"))
+    units = np.where(records[:, k.F_HOW] == k.BY_ROW, passed, reached)
+    units[records[:, k.F_HOW] == k.BY_END] = 0
+    return units.tolist() if len(marks) > 1 else [0] * len(units)
 
 
 def _by_time(tables: Sequence[pa.Table]) -> pa.Table:
@@ -806,22 +850,6 @@ def _reads(packed: Packed) -> dict[str, Kind]:
     """The columns that the filter of FROM reads."""
     where = () if packed.where is None else tuple(walk(packed.where))
     return {part.name: part.kind for part in where if isinstance(part, Column) and part.name not in _IMPLIED}
-
-
-def _found_of(record: list[int], registers: tuple[Any, ...], runs: list[list[int]]) -> Found:
-    trace: Trace | None = None
-    for variable, stream, first, last, ordinal, rows in runs:
-        trace = (trace, variable, stream, first, last, ordinal, rows)
-    assert trace is not None, "a match has rows"
-    # In the order of `kernel.F_RULE` and so on.
-    _, _, stream, sequence, time, _, end_stream, end_sequence, end_time, end_ordinal, how, *decided = record
-    ending = Ending(registers, trace, (end_stream, end_sequence, end_time), end_ordinal)
-    first_event: Event = (stream, sequence, time)
-    if how == k.BY_END:
-        return Found(first_event, ending, None, None)
-    decided_us, decided_stream, decided_sequence = decided
-    decided_by = (decided_stream, decided_sequence, decided_us) if how == k.BY_ROW else None
-    return Found(first_event, ending, decided_us, decided_by)
 
 
 def _reader(bound: BoundRule, at: int) -> Kind | None:
