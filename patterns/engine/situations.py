@@ -11,6 +11,7 @@ from typing import Any
 from patterns.binding.bound import BoundRule
 from patterns.binding.expressions import Column, Crosses, Expr, InZone, Kind, OnGround, Reference, walk
 from patterns.binding.guards import compile_guard
+from patterns.binding.registers import UNSET
 from patterns.binding.titles import Scalar, filled_titles
 from patterns.durations import MICROSECOND
 from patterns.engine.finds import Events, Finds
@@ -265,6 +266,7 @@ class Narrator:
         self.outputs = [(output.name, output.value.kind) for output in outputs]
         self.measured = len(bound.measures)
         self.guards = [compile_guard(output.value, slots, registers, places) for output in outputs]
+        self.plain = [_plain_register(output.value, registers) for output in outputs]
         self.are_times = [_is_other_time(output.value) for output in outputs]
         self.key_times = [at for at, (_, kind) in enumerate(self.keys) if kind is Kind.TIME]
 
@@ -294,7 +296,10 @@ class Narrator:
     def _values(self, finds: Finds) -> list[Sequence[Any]]:
         """The measures' and then the title's values, as the engine has them."""
         rows = list(zip(*finds.registers, strict=True)) if finds.registers else [()] * len(finds)
-        return [[guard((), registers) for registers in rows] for guard in self.guards]
+        return [
+            [guard((), registers) for registers in rows] if at is None else _set(finds.registers[at])
+            for guard, at in zip(self.guards, self.plain, strict=True)
+        ]
 
     def _judged_by(self, finds: Finds, at: int) -> dict[str, tuple[EventRange, ...]]:
         streams = {self.stream_names[stream] for _, stream, *_ in finds.runs_of(at)}
@@ -337,6 +342,17 @@ def _is_other_time(value: Expr) -> bool:
     return value.kind is Kind.TIME and not is_of_row
 
 
+def _plain_register(value: Expr, registers: Mapping[Expr, int]) -> int | None:
+    """The register that holds the value as it is; None: it has to be computed."""
+    is_one_of_several = isinstance(value, Reference) and value.offset != 0
+    return None if is_one_of_several else registers.get(value)
+
+
+def _set(column: Sequence[Any]) -> Sequence[Any]:
+    """What a register held, NULL where nothing was written to it."""
+    return [None if value is UNSET else value for value in column] if UNSET in column else column
+
+
 def event_ref(event: Event, stream_names: Sequence[str]) -> EventRef:
     """The event with its stream's name and its time."""
     stream, sequence, time_us = event
@@ -364,8 +380,9 @@ def nearest_time(microseconds: int) -> datetime:
 
 
 def _time(microseconds: int) -> datetime:
-    _check_times([microseconds])
-    return _EPOCH + timedelta(microseconds=microseconds)
+    if not _EARLIEST_US <= microseconds <= _LATEST_US:
+        _check_times([microseconds])
+    return _EPOCH + timedelta(0, 0, microseconds)
 
 
 def _check_times(microseconds: Sequence[int | None]) -> None:
