@@ -19,7 +19,7 @@ from patterns.processor.deploying import Service, retirement_draft
 from patterns.processor.members import Finding, Member
 from patterns.processor.passes import Pass
 from patterns.processor.saving import Mark, SavedState, mark_bytes, mark_name, mark_of, state_bytes, state_name
-from patterns.processor.writing import drafts_of
+from patterns.processor.writing import drafts_of_each
 from store import Checkpoint, Log
 
 
@@ -87,7 +87,7 @@ class Committer:
             locked = transaction.checkpoints(list(places.values()))
             stored = {each.name: self._agreed(work, each, mark_of(locked[places[each.name]])) for each in moving}
             fresh = [(each, matches) for each, matches in told if matches and _is_new(each, stored[each.member.name])]
-            drafts = [draft for each, matches in fresh for draft in self._drafts(each.member, matches)]
+            drafts = [draft for few in self._drafts(fresh) for draft in few]
             marks, checkpoints = {}, {}
             for member in moving:
                 before = stored[member.name]
@@ -126,8 +126,20 @@ class Committer:
             return []
         return self.end_of(member.service, member.failure, member.failed_at)
 
-    def _drafts(self, member: Member, matches: list[Match]) -> list[Draft]:
-        return drafts_of(member.rule, self._station, matches, is_shadow=member.service.is_shadow)
+    def _drafts(self, found: Sequence[tuple[Finding, list[Match]]]) -> list[list[Draft]]:
+        """For each finding, which stay in order, its matches as drafts."""
+        places: dict[str, list[int]] = {}
+        for at, (each, _) in enumerate(found):
+            places.setdefault(each.member.name, []).append(at)
+        drafts: list[list[Draft]] = [[] for _ in found]
+        for own in places.values():
+            member, matches = found[own[0]][0].member, [found[at][1] for at in own]
+            is_shadow = member.service.is_shadow
+            for at, few in zip(
+                own, drafts_of_each(member.rule, self._station, matches, is_shadow=is_shadow), strict=True
+            ):
+                drafts[at] = few
+        return drafts
 
     def _agreed(self, work: Work, member: Member, stored: Mark | None) -> Mark:
         """The rule's mark in the log, which may be further on than what this processor knows.
