@@ -340,31 +340,31 @@ class Lane:
         held: list[pa.Table] = []
         late: list[tuple[EventRef, ...]] = []
         reached: list[int | None] = []
-        before_us = self.clock.watermark_us
+        before_us, rows_before = self.clock.watermark_us, self.counts.rows
         parts = [rows for units in arrived for rows in self._rows_of_units(units)]
         for rows, newest_by_source in zip(parts, newest, strict=True):
             late.append(self._judged(rows, held))
             for source, newest_us in newest_by_source:
                 self.clock.observe(source, newest_us)
             reached.append(self.clock.advance())
-            if self._is_limit_near(before_us, held):
+            if self._is_limit_near(before_us, self.counts.rows - rows_before):
                 # What is given up must not depend on which units came together.
                 self._hold(held)
                 outcomes += self._advanced(late, reached, before_us)
                 held, late, reached, before_us = [], [], [], self.clock.watermark_us
+                rows_before = self.counts.rows
         if late:
             self._hold(held)
             outcomes += self._advanced(late, reached, before_us)
         return outcomes
 
-    def _is_limit_near(self, before_us: int | None, held: Sequence[pa.Table]) -> bool:
-        """Whether rows that are held, or the time that has come, may lead to something being given up."""
+    def _is_limit_near(self, before_us: int | None, held: int) -> bool:
+        """Whether so many rows that are held, or the time that has come, may lead to something being given up."""
         limits, watermark_us = self.input.limits, self.clock.watermark_us
         if watermark_us is None:
             return False
-        rows = self.rows_waiting + sum(table.num_rows for table in held)
         is_time = limits.expired_before_us(before_us, watermark_us) is not None
-        return is_time or self.keys.count + rows > limits.partitions
+        return is_time or self.keys.count + self.rows_waiting + held > limits.partitions
 
     def source_ended(self, source: str) -> dict[str, Outcome]:
         """The source will send no more."""

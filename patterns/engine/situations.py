@@ -376,7 +376,12 @@ def as_pythons(values: list[Any], kind: Kind) -> list[Scalar]:
 
 def nearest_time(microseconds: int) -> datetime:
     """The time, or the first or last that there is: for bounds, such as the end of a WITHIN."""
-    return _EPOCH + timedelta(microseconds=min(max(microseconds, _EARLIEST_US), _LATEST_US))
+    return _EPOCH + timedelta(microseconds=nearest_us(microseconds))
+
+
+def nearest_us(microseconds: int) -> int:
+    """The same, in microseconds since 1970."""
+    return min(max(microseconds, _EARLIEST_US), _LATEST_US)
 
 
 def _time(microseconds: int) -> datetime:

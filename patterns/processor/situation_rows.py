@@ -18,7 +18,7 @@ from events import EventType, schema_of
 from patterns.binding.titles import Scalar
 from patterns.engine.finds import RUN_FIRST, RUN_LAST, RUN_ROWS, RUN_STREAM, RUN_VARIABLE
 from patterns.engine.json_texts import json_texts
-from patterns.engine.situations import Match, Said, as_microseconds, nearest_time
+from patterns.engine.situations import Match, Said, nearest_us
 
 Integers = NDArray[np.int64]
 
@@ -46,7 +46,7 @@ def _rows(said: Said, places: list[int], schema: pa.Schema) -> pa.RecordBatch:
     rule, finds, count = said.rule, said.finds, len(places)
     first_us, last_us = ([events.times_us[at] for at in places] for events in (finds.first, finds.last))
     decided_us = [finds.decided_us[at] for at in places]
-    time_us = [end if each is None else _nearest_us(each) for each, end in zip(decided_us, last_us, strict=True)]
+    time_us = [end if each is None else nearest_us(each) for each, end in zip(decided_us, last_us, strict=True)]
     columns = {
         "time": _times(time_us),
         "situation": said.identities(places),
@@ -65,18 +65,12 @@ def _rows(said: Said, places: list[int], schema: pa.Schema) -> pa.RecordBatch:
     return pa.RecordBatch.from_arrays(arrays, schema=schema)
 
 
-def _nearest_us(time_us: int) -> int:
-    nearest = as_microseconds(nearest_time(time_us))
-    assert isinstance(nearest, int), "a time"
-    return nearest
-
-
 def _times(microseconds: list[int]) -> pa.Array:
     return pa.array(microseconds, pa.int64()).view(pa.timestamp("us", "UTC"))
 
 
 def _constant(value: str | int, count: int) -> pa.Array:
-    return pa.repeat(pa.scalar(value), count)
+    return pa.repeat(pa.scalar(value, pa.int64() if isinstance(value, int) else pa.string()), count)
 
 
 # Lineage.
