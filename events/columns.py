@@ -153,7 +153,8 @@ def numbers(column: pa.Array) -> npt.NDArray[Any]:
         column = column.drop_null()
     if isinstance(column, pa.TimestampArray):
         column = column.view(pa.int64())
-    return column.to_numpy()  # type: ignore[no-any-return]
+    values: npt.NDArray[Any] = column.to_numpy()
+    return values
 
 
 def _column(event_type: type[EventType], field: pa.Field, values: list[Any]) -> pa.Array:

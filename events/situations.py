@@ -3,7 +3,7 @@
 from typing import Annotated, Literal
 
 import pyarrow as pa
-from pydantic import Field
+from pydantic import BaseModel, ConfigDict, Field
 
 from events.columns import schema_of
 from events.model import AtDoor, EventType, JsonText, Part, UtcTime
@@ -27,58 +27,41 @@ class MatchedRange(Part):
     """number of events in the range that are of the match's partition"""
 
 
-class SituationDetected(EventType, type="situation_detected", version=1, subject="rule"):
+class _Situation(BaseModel):
+    """What every situation says, whether it alerts somebody or not."""
+
+    model_config = ConfigDict(use_attribute_docstrings=True)
+
+    situation: str
+    """identity: hash of rule, version, partition, first and last event, in hexadecimal"""
+    rule: str
+    """name of the rule"""
+    rule_version: Annotated[int, Field(ge=1)]
+    """version of the rule"""
+    rule_hash: str
+    """SHA-256 of the rule's canonical form, in hexadecimal"""
+    severity: Literal["info", "warning", "alarm"]
+    """severity that the rule gives"""
+    title: str
+    """title for people, filled in"""
+    partition: JsonText
+    """values of the PARTITION BY columns by name"""
+    measures: JsonText
+    """values of the MEASURES by name; times in ISO 8601"""
+    began_at: UtcTime
+    """time of the first matched event (UTC)"""
+    ended_at: UtcTime
+    """time of the last matched event (UTC)"""
+    lineage: tuple[MatchedRange, ...]
+    """the events that the match rests on, by pattern variable"""
+
+
+class SituationDetected(_Situation, EventType, type="situation_detected", version=1, subject="rule"):
     """A rule's pattern matched; its time is that of the event that decided the match."""
 
-    situation: str
-    """identity: hash of rule, version, partition, first and last event, in hexadecimal"""
-    rule: str
-    """name of the rule"""
-    rule_version: Annotated[int, Field(ge=1)]
-    """version of the rule"""
-    rule_hash: str
-    """SHA-256 of the rule's canonical form, in hexadecimal"""
-    severity: Literal["info", "warning", "alarm"]
-    """severity that the rule gives"""
-    title: str
-    """title for people, filled in"""
-    partition: JsonText
-    """values of the PARTITION BY columns by name"""
-    measures: JsonText
-    """values of the MEASURES by name; times in ISO 8601"""
-    began_at: UtcTime
-    """time of the first matched event (UTC)"""
-    ended_at: UtcTime
-    """time of the last matched event (UTC)"""
-    lineage: tuple[MatchedRange, ...]
-    """the events that the match rests on, by pattern variable"""
 
-
-class SituationShadowed(EventType, type="situation_shadowed", version=1, subject="rule"):
+class SituationShadowed(_Situation, EventType, type="situation_shadowed", version=1, subject="rule"):
     """A rule that runs in shadow matched: what would have been its `situation_detected`. It alerts nobody."""
-
-    situation: str
-    """identity: hash of rule, version, partition, first and last event, in hexadecimal"""
-    rule: str
-    """name of the rule"""
-    rule_version: Annotated[int, Field(ge=1)]
-    """version of the rule"""
-    rule_hash: str
-    """SHA-256 of the rule's canonical form, in hexadecimal"""
-    severity: Literal["info", "warning", "alarm"]
-    """severity that the rule gives"""
-    title: str
-    """title for people, filled in"""
-    partition: JsonText
-    """values of the PARTITION BY columns by name"""
-    measures: JsonText
-    """values of the MEASURES by name; times in ISO 8601"""
-    began_at: UtcTime
-    """time of the first matched event (UTC)"""
-    ended_at: UtcTime
-    """time of the last matched event (UTC)"""
-    lineage: tuple[MatchedRange, ...]
-    """the events that the match rests on, by pattern variable"""
 
 
 class RuleDeployedV1(EventType, type="rule_deployed", version=1, subject="rule"):

@@ -174,7 +174,7 @@ class _Decoder:
                     f"{self._path}: the decoder said nothing for {self._limits.stall_s:g} s after "
                     f"{self._last_frame()}. Next: raise stall_s, or cut the video before that place"
                 )
-            count = self._pipe.readinto(buffer[got:])  # type: ignore[attr-defined]
+            count = self._pipe.readinto(buffer[got:])  # type: ignore[attr-defined]  # buffered
             if not count:
                 raise self._died(self._how_it_ended())
             got += count

@@ -2,7 +2,7 @@
 
 PatternError
 ├── RuleError            a rule file that is not right; knows its file, line and column
-│   ├── NotSupportedYet  right SQL:2016, outside what this version understands
+│   ├── NotInRules  right SQL:2016 that a rule does not have
 │   └── QueryError       DuckDB refuses the SQL around a clause, or cannot go on with it
 ├── MatchError           a rule that cannot go on with the rows it was given
 │   ├── SkipError        AFTER MATCH SKIP has no row to go to
@@ -50,8 +50,8 @@ class RuleError(PatternError):
         self.excerpt = place.excerpt
 
 
-class NotSupportedYet(RuleError):
-    """Right SQL:2016, outside what this version understands."""
+class NotInRules(RuleError):
+    """Right SQL:2016 that a rule does not have; the message says why, and what to write instead."""
 
 
 class QueryError(RuleError):

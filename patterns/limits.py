@@ -22,7 +22,8 @@ class Limits:
             this later. Online only; None: never.
         listed: Values that one partial match lists for an aggregate that cannot be kept up row by row.
         questions: Times that a query's DEFINE asks DuckDB about values of a partial match.
-        steps: Rows that a search takes that has to go start by start, because DEFINE asks for MATCH_NUMBER.
+        steps: Rows, each times the partial matches that take it, of a search that has to go start by start, because
+            DEFINE asks for MATCH_NUMBER; or ten for each row of the input, where that is more.
     """
 
     positions: int = 10_000
@@ -30,7 +31,7 @@ class Limits:
     partitions: int = 1_000_000
     listed: int = 1_000
     questions: int = 20_000
-    steps: int = 10_000_000
+    steps: int = 2_000_000
     expiry: timedelta | None = None
 
     def expired_before_us(self, before_us: int | None, now_us: int) -> int | None:

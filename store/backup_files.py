@@ -10,7 +10,7 @@ import os
 from collections.abc import Iterable, Iterator
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import pyarrow as pa
 from pydantic import BaseModel, ConfigDict, ValidationError
@@ -253,18 +253,18 @@ def _rows(segments: list[Segment]) -> pa.RecordBatch:
     return pa.RecordBatch.from_pydict(columns, schema=_SEGMENTS)
 
 
-def _segment(row: dict[str, object], file: File) -> Segment:
+def _segment(row: dict[str, Any], file: File) -> Segment:
     try:
-        header = parse_header(row["header"])  # type: ignore[arg-type]
+        header = parse_header(row["header"])
     except CorruptSegment as error:
         raise BackupDamaged(f"{file.name}: position {row['position']}: {error}") from error
     return Segment(
         header,
-        row["payload"],  # type: ignore[arg-type]
-        row["payload_hash"],  # type: ignore[arg-type]
-        row["chain_hash"],  # type: ignore[arg-type]
-        Position(row["position"]),  # type: ignore[arg-type]
-        row["recorded_at"].astimezone(UTC),  # type: ignore[attr-defined]
+        row["payload"],
+        row["payload_hash"],
+        row["chain_hash"],
+        Position(row["position"]),
+        row["recorded_at"].astimezone(UTC),
     )
 
 

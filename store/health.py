@@ -127,9 +127,10 @@ def recorded_at(log: Log, position: int) -> datetime | None:
             (position,),
         ).fetchone()
     assert row is not None, "an archive has its one row"
-    sealed, recorded = row
+    sealed: int = row[0]
+    recorded: datetime | None = row[1]
     if position > sealed:
-        return recorded  # type: ignore[no-any-return]
+        return recorded
     found = log.archive.page(position, sealed, Filter(), 1)
     return found[0].recorded_at if found else recorded
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 from events import Draft, Producer, StreamName
 from events.segment import microseconds
@@ -172,17 +172,17 @@ def _row(draft: Draft, epoch: int, expected: int | None) -> tuple[object, ...]:
     return (str(draft.stream), epoch, expected, *counts, *times, *said, draft.payload, draft.payload_hash)
 
 
-def _kept(row: Sequence[object]) -> Kept:
+def _kept(row: Sequence[Any]) -> Kept:
     id_, stream, epoch, expected, count, version, time_min, time_max, name, producer_version, config, *rest = row
     payload, digest = rest
     draft = Draft(
         stream=StreamName.parse(str(stream)),
-        event_count=count,  # type: ignore[arg-type]
-        schema_version=version,  # type: ignore[arg-type]
-        time_min=_EPOCH + timedelta(microseconds=time_min),  # type: ignore[arg-type]
-        time_max=_EPOCH + timedelta(microseconds=time_max),  # type: ignore[arg-type]
-        producer=Producer(str(name), str(producer_version), config),  # type: ignore[arg-type]
-        payload=payload,  # type: ignore[arg-type]
-        payload_hash=digest,  # type: ignore[arg-type]
+        event_count=count,
+        schema_version=version,
+        time_min=_EPOCH + timedelta(microseconds=time_min),
+        time_max=_EPOCH + timedelta(microseconds=time_max),
+        producer=Producer(str(name), str(producer_version), config),
+        payload=payload,
+        payload_hash=digest,
     )
-    return Kept(id_, draft, epoch, expected)  # type: ignore[arg-type]
+    return Kept(id_, draft, epoch, expected)

@@ -29,7 +29,7 @@ _SEALED_POSITION = "(select sealed_position from archive_head)"
 class TimeOrNone(TimestamptzBinaryLoader):
     """Loads a time, or None for one outside the years 1 to 9999, which Python cannot hold."""
 
-    def load(self, data: Buffer) -> datetime | None:  # type: ignore[override]
+    def load(self, data: Buffer) -> datetime | None:  # type: ignore[override]  # None for what Python cannot hold
         """The time that the bytes hold, or None."""
         try:
             return super().load(data)
@@ -164,7 +164,7 @@ def _list(values: Sequence[str] | None) -> list[str] | None:
 @lru_cache(maxsize=4096)
 def _stream(station: str, source: str, type_: str) -> StreamName:
     """The name, made once: a log has few streams and many segments."""
-    return StreamName(station, source, type_)  # type: ignore[arg-type]
+    return StreamName(station, source, type_)  # type: ignore[arg-type]  # checked when it was stored
 
 
 @lru_cache(maxsize=4096)

@@ -29,20 +29,21 @@ class Bell:
         except LogUnavailable:
             self._position = None  # The step that follows meets the same, and reports it.
 
-    def wait(self, seconds: float, stop: threading.Event) -> None:
-        """Sleep until the log has grown since `arm`, the time is up, or `stop` is set."""
+    def wait(self, seconds: float, stop: threading.Event) -> bool:
+        """Sleep until the log has grown since `arm`, the time is up, or `stop` is set; whether it has grown."""
         if self._position is None:
-            return
+            return False
         try:
             if self._subscription is None:
                 self._subscription = Subscription(self._log, "sync", stations=[self._station], limit=1)
             self._subscription.position = self._position
             while seconds > 0 and not stop.is_set():
                 if self._subscription.poll(min(seconds, _WAIT_SECONDS)).segments:
-                    return
+                    return True
                 seconds -= _WAIT_SECONDS
         except LogUnavailable:
             stop.wait(_WAIT_SECONDS)  # The step that follows meets the same, and reports it.
+        return False
 
     def close(self) -> None:
         """Stop listening."""

@@ -80,7 +80,7 @@ class Output:
     @property
     def stream(self) -> TextIO:
         """Standard output itself, for formats that are not ours to lay out."""
-        return self.out.file  # type: ignore[return-value]
+        return self.out.file  # type: ignore[return-value]  # made of a TextIO
 
     def note(self, text: str) -> None:
         """Tell people something on standard error."""

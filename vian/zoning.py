@@ -204,7 +204,7 @@ def calibrated(points: Sequence[GroundPoint], frame_size: tuple[int, int]) -> tu
         raise WrongUsage("the points lie on both sides of the horizon that follows from them. Next: check the pairs")
     matrix = matrix / np.abs(depth).max() * np.sign(depth[0])
     first, second, third = (tuple(float(value) for value in row) for row in matrix)
-    calibration = Calibration((first, second, third), frame_size)  # type: ignore[arg-type]
+    calibration = Calibration((first, second, third), frame_size)  # type: ignore[arg-type]  # of a matrix of 3 x 3
     east_m, north_m = calibration.ground(image[:, 0], image[:, 1], None)
     return calibration, float(np.sqrt(np.mean((east_m - ground[:, 0]) ** 2 + (north_m - ground[:, 1]) ** 2)))
 

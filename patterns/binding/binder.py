@@ -19,7 +19,9 @@ from patterns.binding.expressions import (
     Const,
     Expr,
     Kind,
+    MatchNumber,
     Reference,
+    ahead,
     column_names,
     conjuncts,
     is_constant,
@@ -28,6 +30,7 @@ from patterns.binding.expressions import (
     operands,
     reach,
     rebuilt,
+    walk,
 )
 from patterns.binding.guards import constant_value
 from patterns.binding.inputs import Readable, bind_arms
@@ -35,7 +38,7 @@ from patterns.binding.program import ProgramTooLarge, Tables, compile_pattern, t
 from patterns.binding.scalars import labelled, translate
 from patterns.binding.scope import Scope
 from patterns.binding.titles import check_formats, title_fields
-from patterns.errors import NotSupportedYet, RuleError
+from patterns.errors import NotInRules, RuleError
 from patterns.files.rule import Rule
 from patterns.language.frames import frames_of
 from patterns.language.parser import parse
@@ -72,7 +75,7 @@ def bind(
 
     Raises:
         RuleError: A name that is not there, operands of wrong types, a pattern that can never match.
-        NotSupportedYet: SQL outside what this version understands.
+        NotInRules: SQL that a rule does not have.
     """
     query = parse(rule.passage("match"))
     return _Binder(rule, query, schemas, limits or Limits()).bound(_site(site, frame_sizes))
@@ -157,12 +160,15 @@ class _Binder:
             skip=clause.skip.mode,
             skip_variables=skip_variables,
             reach=max((reach(expr) for expr in read), default=0),
+            ahead=tuple(
+                max((ahead(expr) for expr in self.read_at(*each)), default=0) for each in enumerate(conditions)
+            ),
+            is_numbered=any(isinstance(part, MatchNumber) for each in measures for part in walk(each.value)),
             looks_back=self.looks_back(tables, conditions),
             site=site,
             limits=self.limits,
         )
         self.check_can_match(bound)
-        self.check_end(bound)
         self.check_timers(bound)
         return bound
 
@@ -189,20 +195,11 @@ class _Binder:
             if index > 1:
                 raise self.refusal("ORDER BY more than time and sequence", at)
             if ordering.column.key != ("TIME", "SEQUENCE")[index]:
-                raise self.refusal(f"ORDER BY {name} (only time and sequence order events)", at)
+                raise self.refusal(f"ORDER BY {name}", at)
             if ordering.is_descending or ordering.nulls_first is not None:
                 raise self.refusal("ORDER BY ... " + ("DESC" if ordering.is_descending else "NULLS"), at)
         if not order:
             raise self.error("a rule needs ORDER BY time", self.clause.at)
-
-    def check_end(self, bound: BoundRule) -> None:
-        tables = bound.tables
-        if bound.within_us is not None and tables.accepts_end != tables.accepts:
-            message = (
-                "PATTERN: $ beside WITHIN would have to take back what the time decided; leave one of them out, or say "
-                "what did not come with TIMER"
-            )
-            raise self.error(message, self.clause.pattern_at)
 
     def check_rows(self) -> None:
         if self.clause.rows is not RowsPerMatch.ONE:
@@ -210,7 +207,11 @@ class _Binder:
             raise self.error(message, self.clause.rows_at)
 
     def refusal(self, what: str, at: int) -> RuleError:
-        return self.query.passage.error(f"{what} is not supported yet", at, NotSupportedYet)
+        message = (
+            f"rules have no {what}: events come by time, stream and sequence, the one order that a replay has too. "
+            "Next: write ORDER BY time, sequence"
+        )
+        return self.query.passage.error(message, at, NotInRules)
 
     def scope(self, clause: str, own: str | None, has_row: bool) -> Scope:
         return Scope(
@@ -346,7 +347,10 @@ class _Binder:
 
     def looks_back(self, tables: Tables, conditions: tuple[Condition, ...]) -> bool:
         """Whether a position can look further back than its distance from the match's first row."""
-        own_reach = [self.own_reach(index, condition) for index, condition in enumerate(conditions)]
+        own_reach = [
+            max((reach(expr) for expr in self.read_at(index, condition)), default=0)
+            for index, condition in enumerate(conditions)
+        ]
         if tables.has_start_anchor:
             return True
         distance = dict.fromkeys(tables.firsts(), 0)
@@ -358,17 +362,17 @@ class _Binder:
                     queue.append(after)
         return any(own_reach[tables.variables[at]] > far for at, far in distance.items())
 
-    def own_reach(self, variable: int, condition: Condition) -> int:
-        """How far before a row of this variable its condition, and what is remembered of it, looks."""
+    def read_at(self, variable: int, condition: Condition) -> list[Expr]:
+        """What a row alone decides, and the variable's condition, or what is remembered of its rows, reads."""
         predicates, slots = tuple(self.parts.predicates), tuple(self.parts.slots)
         read = [predicates[index] for index in condition.predicates]
         read += [] if condition.guard is None else _row_local_parts(condition.guard)
         read += [
-            slots[register.slot]
+            slots[slot]
             for register in self.parts.registers
-            if register.slot is not None and register.takes(variable)
+            if register.takes(variable) and (slot := register.slot_for(variable)) is not None
         ]
-        return max((reach(expr) for expr in read), default=0)
+        return read
 
     def check_can_match(self, bound: BoundRule) -> None:
         tables = bound.tables

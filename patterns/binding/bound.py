@@ -95,6 +95,8 @@ class BoundRule:
         skip: AFTER MATCH SKIP, and the index of its variable.
         skip_variables: Indices of the variables that SKIP TO means; several, if it names a SUBSET.
         reach: How many rows before the row at hand any expression looks at.
+        ahead: For each variable, how many rows after a row its condition, and what is remembered of it, looks at.
+        is_numbered: Whether a measure asks for the match's number.
         looks_back: Whether a match's first rows look at rows before the match.
         site: What is known of the cameras when bound; a run goes on from a copy.
         limits: What the rule may use.
@@ -119,6 +121,8 @@ class BoundRule:
     skip: SkipMode
     skip_variables: tuple[int, ...]
     reach: int
+    ahead: tuple[int, ...]
+    is_numbered: bool
     looks_back: bool
     site: Site
     limits: Limits
@@ -127,6 +131,11 @@ class BoundRule:
     def timed(self) -> tuple[bool, ...]:
         """For each variable whether its condition has TIMER, so that it takes virtual rows and no others."""
         return tuple(each.is_timed for each in self.conditions)
+
+    @property
+    def remembers_all(self) -> bool:
+        """Whether a partition is remembered when nothing of it is open."""
+        return self.looks_back or self.is_numbered
 
     @property
     def types(self) -> frozenset[str]:

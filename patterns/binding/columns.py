@@ -78,7 +78,10 @@ class ColumnEvaluator:
     def _shifted(self, expr: Shift) -> Any:
         count = self.rows.table.num_rows
         indices = np.arange(count, dtype=np.int64) - expr.rows
-        has_none = self.rows.ordinals < expr.rows
+        ordinals = self.rows.ordinals - expr.rows
+        has_none = (ordinals < 0) | (indices >= count)
+        # A row of the next partition would have a smaller number than the row looked for.
+        has_none[~has_none] = self.rows.ordinals[indices[~has_none]] != ordinals[~has_none]
         return self.column(expr.operand).take(pa.array(indices, mask=has_none))
 
     def _in_zone(self, expr: InZone) -> Any:

@@ -52,7 +52,7 @@ class Column:
 
 @dataclass(frozen=True, slots=True)
 class Shift:
-    """The operand's value `rows` rows earlier in the partition, matched or not: PREV."""
+    """The operand's value `rows` rows earlier in the partition, matched or not: PREV; negative: later, NEXT."""
 
     operand: "Expr"
     rows: int
@@ -99,6 +99,13 @@ class Classifier:
     """The name of the variable that the row is mapped to."""
 
     kind: Kind = Kind.STRING
+
+
+@dataclass(frozen=True, slots=True)
+class MatchNumber:
+    """The number of the match in its partition, from 1."""
+
+    kind: Kind = Kind.INT
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,7 +163,20 @@ class OneOf:
     kind: Kind = Kind.BOOL
 
 
-Expr = Const | Column | Classifier | Shift | Reference | Aggregate | Call | InZone | Crosses | OnGround | OneOf
+Expr = (
+    Const
+    | Column
+    | Classifier
+    | MatchNumber
+    | Shift
+    | Reference
+    | Aggregate
+    | Call
+    | InZone
+    | Crosses
+    | OnGround
+    | OneOf
+)
 
 
 def operands(expr: Expr) -> tuple[Expr, ...]:
@@ -189,8 +209,8 @@ def rebuilt(expr: Expr, change: Callable[[Expr], Expr]) -> Expr:
 
 
 def is_row_local(expr: Expr) -> bool:
-    """Whether the row at hand and its predecessors alone decide the value."""
-    return not any(isinstance(node, Reference | Aggregate | Classifier) for node in walk(expr))
+    """Whether the row at hand and its neighbours alone decide the value."""
+    return not any(isinstance(node, Reference | Aggregate | Classifier | MatchNumber) for node in walk(expr))
 
 
 def is_constant(expr: Expr) -> bool:
@@ -206,7 +226,13 @@ def is_strict(expr: Expr) -> bool:
 def reach(expr: Expr) -> int:
     """How many rows before the row at hand the expression looks at."""
     below = max((reach(operand) for operand in operands(expr)), default=0)
-    return below + expr.rows if isinstance(expr, Shift) else below
+    return below + max(expr.rows, 0) if isinstance(expr, Shift) else below
+
+
+def ahead(expr: Expr) -> int:
+    """How many rows after the row at hand the expression looks at."""
+    below = max((ahead(operand) for operand in operands(expr)), default=0)
+    return below + max(-expr.rows, 0) if isinstance(expr, Shift) else below
 
 
 def conjuncts(expr: Expr) -> tuple[Expr, ...]:

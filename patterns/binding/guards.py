@@ -11,7 +11,18 @@ from typing import Any
 
 import numpy as np
 
-from patterns.binding.expressions import Call, Const, Crosses, Expr, InZone, OneOf, OnGround, Reference, Value
+from patterns.binding.expressions import (
+    Call,
+    Const,
+    Crosses,
+    Expr,
+    InZone,
+    MatchNumber,
+    OneOf,
+    OnGround,
+    Reference,
+    Value,
+)
 from patterns.binding.registers import UNSET, at_offset
 from patterns.scene.places import Places
 
@@ -20,7 +31,7 @@ Guard = Callable[[Sequence[Any], Sequence[Any]], Any]
 
 
 def compile_guard(expr: Expr, slots: dict[Expr, int], registers: dict[Expr, int], places: Places) -> Guard:
-    """The expression as a closure.
+    """The expression as a closure; the match's number, where it asks for it, comes after the registers.
 
     Args:
         expr: Its row-local and remembered parts must all be in `slots` or `registers`.
@@ -35,6 +46,8 @@ def compile_guard(expr: Expr, slots: dict[Expr, int], registers: dict[Expr, int]
         return _slot(slots[expr])
     if isinstance(expr, Const):
         return constant(expr.value)
+    if isinstance(expr, MatchNumber):
+        return lambda row, registers: registers[-1]
     below = [compile_guard(part, slots, registers, places) for part in _operands(expr)]
     if isinstance(expr, InZone):
         return _in_zone(expr, below, places)

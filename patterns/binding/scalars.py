@@ -23,6 +23,7 @@ from patterns.binding.expressions import (
     Expr,
     InZone,
     Kind,
+    MatchNumber,
     OneOf,
     OnGround,
     Reference,
@@ -36,11 +37,11 @@ from patterns.binding.guards import constant_value
 from patterns.binding.literals import VARIABLE_UNITS, interval, number
 from patterns.binding.scope import Scope, constant
 from patterns.binding.typing_rules import TypeMismatch, as_float, typed_call
-from patterns.errors import NotSupportedYet, RuleError
+from patterns.errors import NotInRules, RuleError
+from patterns.language import navigation
 from patterns.language.navigation import (
     NAVIGATION,
     AggregateReading,
-    MatchNumber,
     Names,
     Reader,
     Reading,
@@ -69,7 +70,7 @@ def translate(scalar: Scalar, scope: Scope) -> Expr:
 
     Raises:
         RuleError: A name that is not there, or operands of wrong types.
-        NotSupportedYet: SQL outside the subset.
+        NotInRules: SQL that a rule does not have.
     """
     return _Translator(scope, scalar.at).expr(scalar.node)
 
@@ -90,7 +91,7 @@ class _Translator:
             return self.call(_BINARY[type(node)], node, (node.this, node.expression))
         if type(node) in _UNARY:
             return self.call(_UNARY[type(node)], node, (node.this,))
-        raise self.refusal(_named(node), node)
+        raise self.refusal(_named(node), _why_not(node), node)
 
     def call(self, op: str, node: exp.Expr, parts: tuple[exp.Expr, ...]) -> Expr:
         return self.typed(op, node, tuple(self.expr(part) for part in parts))
@@ -112,7 +113,7 @@ class _Translator:
 
     def column(self, node: exp.Expr) -> Expr:
         if node.args.get("db") or node.args.get("catalog"):
-            self.refuse("a column name of more than two parts", node)
+            self.refuse("column name of more than two parts", "Next: write variable.column", node)
         self.check_variable(node)
         if self.is_at_row or not self.scope.has_match:
             return self.bare_column(node.this)
@@ -177,17 +178,33 @@ class _Translator:
         reading = self.reader.reading(node)
         if isinstance(reading, AggregateReading):
             return self.aggregate(reading, node)
-        if isinstance(reading, MatchNumber):
-            self.fail("MATCH_NUMBER counts the matches of a partition for good, and a rule forgets; a situation has "
-                      "an identity of its own", node)  # fmt: skip
+        if isinstance(reading, navigation.MatchNumber):
+            return self.match_number(node)
         return self.of_row(reading, node)
+
+    def match_number(self, node: exp.Expr) -> Expr:
+        if self.scope.clause == "DEFINE":
+            self.fail("MATCH_NUMBER is known once all matches before are decided, so that a rule would have to keep "
+                      "the rows of a partition until then; it stands in MEASURES", node)  # fmt: skip
+        return MatchNumber()
 
     def of_row(self, reading: Reading | None, node: exp.Expr) -> Expr:
         assert isinstance(reading, RowReading), "neither an aggregate nor the match's number"
-        if reading.shift > 0:
-            self.fail("NEXT looks at a row that has not come yet when a rule is decided; write the row that follows "
-                      "as a variable of its own", node)  # fmt: skip
         operand = self.at_row(reading.operand)
+        if any(isinstance(part, MatchNumber) for part in walk(operand)):
+            return self.spread(reading, operand, node)
+        return self.read_at(reading, operand, node)
+
+    def spread(self, reading: RowReading, operand: Expr, node: exp.Expr) -> Expr:
+        """The operand with each of its columns read by itself: the match's number is none of a row."""
+        if isinstance(operand, MatchNumber | Const):
+            return operand
+        if isinstance(operand, Column | Classifier):
+            return self.read_at(reading, operand, node)
+        return rebuilt(operand, lambda part: self.spread(reading, part, node))
+
+    def read_at(self, reading: RowReading, operand: Expr, node: exp.Expr) -> Expr:
+        """The operand's value at the row that the reading says."""
         if any(isinstance(part, Classifier) for part in walk(operand)):
             return self.classified(reading, operand, node)
         if reading.shift:
@@ -203,13 +220,21 @@ class _Translator:
 
     def classified(self, reading: RowReading, operand: Expr, node: exp.Expr) -> Expr:
         if reading.shift and (reading.frame is not None or reading.which == "first"):
-            self.fail("CLASSIFIER stands in PREV of the match's rows only, as in PREV(CLASSIFIER())", node)
+            self.fail("CLASSIFIER stands in PREV and NEXT of the match's rows only, as in PREV(CLASSIFIER())", node)
+        if reading.shift > reading.offset:
+            return self.beyond(operand, node)
         if reading.shift == 0 and self.is_current(reading):
             return labelled(
                 operand, next(key for key, shown in self.scope.variables.items() if shown == self.scope.own)
             )
         # The rows of a match follow each other: n rows back from its last is its last but n.
         return Reference(reading.frame, reading.which, operand, reading.offset - reading.shift)
+
+    def beyond(self, operand: Expr, node: exp.Expr) -> Expr:
+        """What NEXT(CLASSIFIER()) is: no row after the match's last is mapped to a variable."""
+        if not isinstance(operand, Classifier):
+            self.fail("CLASSIFIER stands by itself inside NEXT of the match's last row", node)
+        return Const(None, Kind.STRING)
 
     def at_row(self, operand: exp.Expr) -> Expr:
         """The operand over the columns of one row, whichever that is."""
@@ -221,13 +246,15 @@ class _Translator:
         call = reading.call
         name, arguments = function_name(call), call.expressions
         if not isinstance(call, exp.Anonymous) or any(isinstance(each, exp.Distinct | exp.Order) for each in arguments):
-            self.refuse("an aggregate with DISTINCT, FILTER or ORDER BY", node)
+            self.refuse("aggregate with DISTINCT, FILTER or ORDER BY", _KEPT_FLAT, node)
         is_star = bool(arguments) and (isinstance(arguments[0], exp.Star) or isinstance(arguments[0].this, exp.Star))
         if name == "COUNT" and len(arguments) < 2 and (not arguments or is_star):
             return Aggregate(reading.frame, "rows", None, Kind.INT)
         if len(arguments) != 1:
             self.fail(f"{name} takes one value, got {len(arguments)}", node)
         operand = self.at_row(arguments[0])
+        if any(isinstance(part, MatchNumber) for part in walk(operand)):
+            self.fail(f"MATCH_NUMBER is none of a row's values; it stands outside of {name}", node)
         values = Aggregate(reading.frame, "values", operand, Kind.INT)
         if name == "COUNT":
             return values
@@ -262,10 +289,10 @@ class _Translator:
     def interval(self, node: exp.Expr) -> Expr:
         unit = node.args.get("unit")
         if not isinstance(unit, exp.Var) or not isinstance(node.this, exp.Literal):
-            self.refuse("an INTERVAL other than of one number and one unit", node)
+            self.refuse("INTERVAL other than of one number and one unit", "Next: write INTERVAL '90' SECOND", node)
         name = unit.name.upper().removesuffix("S")
         if name in VARIABLE_UNITS:
-            self.refuse(f"INTERVAL in {name}", node)
+            self.refuse(f"INTERVAL in {name}", "none is as long as the next. Next: write it in days", node)
         try:
             return interval(str(node.this.this), name)
         except TypeMismatch as error:
@@ -278,7 +305,7 @@ class _Translator:
 
     def between(self, node: exp.Expr) -> Expr:
         if node.args.get("symmetric"):
-            self.refuse("BETWEEN SYMMETRIC", node)
+            self.refuse("BETWEEN SYMMETRIC", "Next: write BETWEEN LEAST(a, b) AND GREATEST(a, b)", node)
         value, low, high = (self.expr(part) for part in (node.this, node.args["low"], node.args["high"]))
         bounds = self.typed(">=", node, (value, low)), self.typed("<=", node, (value, high))
         return self.typed("and", node, bounds)
@@ -288,7 +315,7 @@ class _Translator:
         if isinstance(field, exp.Placeholder):
             return self.one_of(node, field)
         if node.args.get("query") or node.args.get("unnest") or field:
-            self.refuse("IN with a sub-query", node)
+            self.refuse("IN with a sub-query", _OWN_ROWS, node)
         items = node.expressions
         if len(items) == 1 and isinstance(items[0], exp.Placeholder) and self.is_list(items[0]):
             return self.one_of(node, items[0])
@@ -323,7 +350,9 @@ class _Translator:
 
     def is_null(self, node: exp.Expr) -> Expr:
         if not isinstance(node.expression, exp.Null):
-            self.refuse("IS with anything but NULL", node)
+            self.refuse(
+                "IS with anything but NULL", "Next: write the condition itself, or COALESCE(condition, FALSE)", node
+            )
         return self.call("is_null", node, (node.this,))
 
     def case(self, node: exp.Expr) -> Expr:
@@ -436,12 +465,12 @@ class _Translator:
 
     # Errors.
 
-    def refuse(self, what: str, node: exp.Expr) -> NoReturn:
-        raise self.refusal(what, node)
+    def refuse(self, what: str, why: str, node: exp.Expr) -> NoReturn:
+        raise self.refusal(what, why, node)
 
-    def refusal(self, what: str, node: exp.Expr) -> RuleError:
-        message = f"{self.scope.clause}: {what} is not supported yet"
-        return self.scope.passage.error(message, self.offset(node), NotSupportedYet)
+    def refusal(self, what: str, why: str, node: exp.Expr) -> RuleError:
+        message = f"{self.scope.clause}: rules have no {what}: {why}"
+        return self.scope.passage.error(message, self.offset(node), NotInRules)
 
     def fail(self, message: str, node: exp.Expr) -> NoReturn:
         raise self.error(message, node)
@@ -484,18 +513,36 @@ def _named(node: exp.Expr) -> str:
     if isinstance(node, exp.Func):
         return node.sql_name()
     if isinstance(node, exp.Query | exp.Subquery):
-        return "a sub-query"
+        return "sub-query"
     return f"{type(node).__name__} ({node.sql()[:40]})"
 
 
+def _why_not(node: exp.Expr) -> str:
+    """Why rules do not have this part of SQL, and what to write instead."""
+    if isinstance(node, exp.Query | exp.Subquery | exp.Exists):
+        return _OWN_ROWS
+    if isinstance(node, exp.Cast):
+        return "columns and parameters have their types, and numbers mix. Next: compare values of one type"
+    operators = ", ".join((*_BINARY.values(), *_UNARY.values()))
+    return f"there are: {operators}, IN, BETWEEN, IS NULL, CASE, {_FUNCTIONS_SHOWN}"
+
+
+_OWN_ROWS = (
+    "a condition is decided by the rows of its partition alone, so that a replay decides the same. Next: write value "
+    "IN :list with a list parameter, or read the other events as an arm of FROM"
+)
+_KEPT_FLAT = (
+    "what a match remembers must not grow with its length. Next: let a variable of its own, or a SUBSET, take the rows "
+    "that count"
+)
 _GROUND: dict[str, tuple[GroundValue, int, str]] = {
     "GROUND_X": ("x", 2, "ground_x(x, y)"),
     "GROUND_Y": ("y", 2, "ground_y(x, y)"),
     "GROUND_SPEED": ("speed", 4, "ground_speed(x, y, vx, vy)"),
 }
 _FUNCTIONS_SHOWN = (
-    "FIRST, LAST, PREV, CLASSIFIER, COUNT, SUM, MIN, MAX, AVG, ABS, SQRT, LEAST, GREATEST, COALESCE, TIMER, "
-    "in_zone, crosses, ground_x, ground_y, ground_speed"
+    "FIRST, LAST, PREV, NEXT, CLASSIFIER, MATCH_NUMBER, COUNT, SUM, MIN, MAX, AVG, ABS, SQRT, LEAST, GREATEST, "
+    "COALESCE, TIMER, in_zone, crosses, ground_x, ground_y, ground_speed"
 )
 _HANDLERS: dict[type[exp.Expr], Callable[[_Translator, Any], Expr]] = {
     exp.Column: _Translator.column,

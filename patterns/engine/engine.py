@@ -9,6 +9,7 @@ integers. It knows nothing of watermarks; `patterns.run` releases the rows.
 import heapq
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import count
 from typing import Any
 
@@ -17,13 +18,15 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from patterns.binding.bound import BoundRule, Register
-from patterns.binding.columns import ColumnEvaluator, Rows
+from patterns.binding.columns import ColumnEvaluator, Rows, arrow_type
 from patterns.binding.expressions import walk
 from patterns.binding.guards import compile_guard
 from patterns.binding.registers import Update, initial, update_of
 from patterns.binding.registers import live_registers as _live
 from patterns.binding.rows import SEQUENCE, STREAM, TIME, partition_codes
-from patterns.engine.matcher import Block, Found, Loss, Machine, Matcher, Partition
+from patterns.engine.ahead import Ahead, Needs, Release, moved, run
+from patterns.engine.matcher import Block, Event, Found, Loss, Machine, Matcher, Partition
+from patterns.engine.skipping import rule_skip_error
 from patterns.engine.timers import TimedMatcher, timers_of
 from patterns.errors import LimitError
 from patterns.scene.places import Places
@@ -40,11 +43,20 @@ class Open:
         partition: Its partial matches.
         tail: Its last rows, as far back as the rule looks.
         due_us: The deadline under which it waits in the queue.
+        waiting: The events of the last of these rows, which wait for rows after them.
+        released: What released the last row that did not wait any longer.
     """
 
     partition: Partition = field(default_factory=Partition)
     tail: Sequence[tuple[Any, ...]] = ()
     due_us: int | None = None
+    waiting: Sequence[Event] = ()
+    released: Release | None = None
+
+    @property
+    def last(self) -> Event | None:
+        """The event of its last row."""
+        return self.waiting[-1] if self.waiting else self.partition.last
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,6 +95,7 @@ class Engine:
         self.matcher = Matcher(machine)
         if bound.timers:
             self.matcher = TimedMatcher(machine, timers_of(bound, self.places), bound.timed)
+        self.ahead = Ahead(bound) if any(bound.ahead) else None
         self.open: dict[Key, Open] = {}
         self._due: list[tuple[int, int, Key]] = []
         self._serial = count()
@@ -96,16 +109,21 @@ class Engine:
         """
         if rows.num_rows == 0:
             return []
-        grouped = self._grouped(rows)
-        evaluator = self._evaluator(grouped)
-        truths = [evaluator.truth(predicate) for predicate in self.bound.predicates]
-        starts = self._starts(truths, grouped)
-        active = self._active(grouped, starts)
-        block = self._block(grouped, evaluator, truths, starts, active)
-        found = self._run(grouped, block, active)
+        found = self._taken(self._grouped(rows), is_end=False)
         if self.is_strict and len(self.open) > self.bound.limits.partitions:
             raise LimitError(f"rule {self.bound.rule.rule}: {self._too_many}. A WITHIN lets partitions be forgotten")
         return found
+
+    def _taken(self, grouped: _Grouped, *, is_end: bool) -> list[tuple[Key, Found]]:
+        evaluator = self._evaluator(grouped)
+        truths = [evaluator.truth(predicate) for predicate in self.bound.predicates]
+        starts = self._starts(truths, grouped)
+        begins = starts if self.ahead is None else starts | self.ahead.may_begin(truths, len(starts))
+        active = self._active(grouped, begins)
+        kept = self._kept(grouped, active)
+        block = self._block(grouped, evaluator, truths, starts, kept)
+        needs = None if self.ahead is None else self.ahead.needs(truths, starts, kept)
+        return self._run(grouped, block, active, needs, is_end=is_end)
 
     @property
     def _too_many(self) -> str:
@@ -129,9 +147,10 @@ class Engine:
         return [self._give_up(key) for key in [key for key, s in self.open.items() if _touched_us(s) < before_us]]
 
     def _give_up(self, key: Key) -> Loss:
-        partition = self.open.pop(key).partition
+        state = self.open.pop(key)
+        partition = state.partition
         threads = sum(len(attempt.threads) for attempt in partition.attempts)
-        first = partition.attempts[0].event if partition.attempts else partition.last
+        first = partition.attempts[0].event if partition.attempts else state.last
         return Loss(key, threads, 0 if first is None else first[2])
 
     def expire(self, until_us: int) -> list[tuple[Key, Found]]:
@@ -143,16 +162,23 @@ class Engine:
             if state is None or state.due_us != due_us:
                 continue
             state.due_us = None
-            found += [(key, each) for each in self.matcher.expire(state.partition, until_us)]
+            # No time has come for what a row before it may still decide, which waits.
+            until_us_here = min(until_us, state.waiting[0][2]) if state.waiting else until_us
+            expired = self.matcher.expire(state.partition, until_us_here)
+            found += [(key, each) for each in moved(expired, state.released)]
             self._keep(key, state)
         return found
 
     def finish(self, newest_us: int) -> list[tuple[Key, Found]]:
         """The matches made final because there are no more rows, and time stands still; everything is forgotten."""
-        found = self.expire(newest_us + 1) if self.bound.timers else []
+        waiting = [key for key, state in self.open.items() if state.waiting]
+        found = self._taken(self._remembered(waiting), is_end=True) if waiting else []
+        found += self.expire(newest_us + 1) if self.bound.timers else []
         found += [
-            (key, each) for key, state in self.open.items() for each in self.matcher.finish(state.partition)
-        ]  # fmt: skip
+            (key, each)
+            for key, state in self.open.items()
+            for each in moved(self.matcher.finish(state.partition), state.released)
+        ]
         self.open.clear()
         self._due.clear()
         return found
@@ -174,9 +200,21 @@ class Engine:
         keys: list[Key] = list(zip(*columns, strict=True)) if columns else [()]
         return self._with_tails(_Grouped(table, bounds, bounds[:-1], keys))
 
+    @property
+    def _has_tails(self) -> bool:
+        return self.bound.reach > 0 or self.ahead is not None
+
+    def _remembered(self, keys: list[Key]) -> _Grouped:
+        """The rows that these partitions remember, and no others."""
+        names = (STREAM, TIME, SEQUENCE, *self.bound.columns)
+        types = (*[pa.int64()] * 3, *(arrow_type(kind) for kind in self.bound.columns.values()))
+        nothing = pa.schema(list(zip(names, types, strict=True))).empty_table()
+        bounds = np.zeros(len(keys) + 1, dtype=np.int64)
+        return self._with_tails(_Grouped(nothing, bounds, bounds[:-1], keys))
+
     def _with_tails(self, grouped: _Grouped) -> _Grouped:
-        """The groups, each after the rows that its partition remembers."""
-        if self.bound.reach == 0 or not self.open:
+        """The groups, each after the rows that its partition remembers; those that wait are new still."""
+        if not self._has_tails or not self.open:
             return grouped
         states = [self.open.get(key) for key in grouped.keys]
         tails = [state.tail if state is not None else () for state in states]
@@ -189,7 +227,8 @@ class Engine:
         before = _as_table([row for tail in tails for row in tail], grouped.table.schema)
         table = pa.concat_tables([before, grouped.table]).take(pa.array(order)).combine_chunks()
         bounds = np.concatenate(([0], np.cumsum(counts + lengths)))
-        return _Grouped(table, bounds, bounds[:-1] + counts, grouped.keys)
+        waiting = np.array([len(state.waiting) if state is not None else 0 for state in states], dtype=np.int64)
+        return _Grouped(table, bounds, bounds[:-1] + counts - waiting, grouped.keys)
 
     def _evaluator(self, grouped: _Grouped) -> ColumnEvaluator:
         lengths = np.diff(grouped.bounds)
@@ -199,7 +238,7 @@ class Engine:
     # From columns to the rows that matter.
 
     def _starts(self, truths: list[NDArray[np.bool_]], grouped: _Grouped) -> NDArray[np.bool_]:
-        """Which new rows a match could begin at, judged by the row and the one after it."""
+        """Which new rows a match could begin at, judged by the row and the one after it, where nothing looks ahead."""
         tables = self.bound.tables
         able = self._able(truths, grouped.table.num_rows)
         is_last = np.zeros(grouped.table.num_rows, dtype=bool)
@@ -210,7 +249,7 @@ class Engine:
             first = tables.variables[position]
             next_ones = frozenset(tables.variables[each] for each in tables.follow[position])
             is_open = tables.accepts[position] or any(self.bound.timed[each] for each in next_ones)
-            after = None if is_open else next_ones
+            after = None if is_open or self.ahead is not None else next_ones
             if self.bound.timed[first]:
                 continue
             if (first, after) in seen:
@@ -221,7 +260,7 @@ class Engine:
                 continue
             goes_on = np.logical_or.reduce([np.zeros_like(starts), *(able[variable] for variable in after)])
             starts |= able[first] & (is_last | np.append(goes_on[1:], False))
-        for begin, fresh in zip(grouped.bounds[:-1], grouped.fresh, strict=True) if self._has_tails(grouped) else ():
+        for begin, fresh in zip(grouped.bounds[:-1], grouped.fresh, strict=True) if self._has_tails else ():
             starts[begin:fresh] = False
         return starts
 
@@ -233,9 +272,6 @@ class Engine:
             for each in self.bound.conditions
         ]
 
-    def _has_tails(self, grouped: _Grouped) -> bool:
-        return bool(np.any(grouped.fresh != grouped.bounds[:-1]))
-
     def _active(self, grouped: _Grouped, starts: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Which groups have a start, or partial matches that wait."""
         active = np.logical_or.reduceat(starts, grouped.bounds[:-1])
@@ -244,18 +280,21 @@ class Engine:
             active |= np.fromiter(waits, dtype=bool, count=len(grouped.keys))
         return active
 
+    def _kept(self, grouped: _Grouped, active: NDArray[np.bool_]) -> NDArray[np.int64]:
+        """The new rows of the active groups, one after the other."""
+        lengths = np.diff(grouped.bounds)
+        is_fresh = np.arange(grouped.table.num_rows) >= np.repeat(grouped.fresh, lengths)
+        return np.flatnonzero(np.repeat(active, lengths) & is_fresh)
+
     def _block(
         self,
         grouped: _Grouped,
         evaluator: ColumnEvaluator,
         truths: list[NDArray[np.bool_]],
         starts: NDArray[np.bool_],
-        active: NDArray[np.bool_],
+        kept: NDArray[np.int64],
     ) -> Block:
-        """The new rows of the active groups, one after the other, as the matcher takes them."""
-        lengths = np.diff(grouped.bounds)
-        is_fresh = np.arange(grouped.table.num_rows) >= np.repeat(grouped.fresh, lengths)
-        kept = np.flatnonzero(np.repeat(active, lengths) & is_fresh)
+        """The kept rows as the matcher takes them."""
         bits = np.zeros(len(kept), dtype=np.int64)
         for at, truth in enumerate(truths):
             bits |= truth[kept].astype(np.int64) << at
@@ -264,10 +303,12 @@ class Engine:
         values = list(zip(*slots, strict=True)) if slots else [()] * len(kept)
         return Block(bits.tolist(), list(zip(*events, strict=True)), values, np.flatnonzero(starts[kept]).tolist())
 
-    def _run(self, grouped: _Grouped, block: Block, active: NDArray[np.bool_]) -> list[tuple[Key, Found]]:
+    def _run(
+        self, grouped: _Grouped, block: Block, active: NDArray[np.bool_], needs: Needs | None, *, is_end: bool
+    ) -> list[tuple[Key, Found]]:
         found: list[tuple[Key, Found]] = []
         at = 0
-        wanted = range(len(grouped.keys)) if self.bound.looks_back else np.flatnonzero(active).tolist()
+        wanted = range(len(grouped.keys)) if self.bound.remembers_all else np.flatnonzero(active).tolist()
         last = grouped.table.select([STREAM, SEQUENCE, TIME]).take(pa.array(grouped.bounds[1:] - 1))
         events = list(zip(*(column.to_pylist() for column in last.columns), strict=True))
         for group in wanted:
@@ -275,22 +316,35 @@ class Engine:
             state = self.open.get(key) or Open(Partition(key=key))
             length = int(grouped.bounds[group + 1] - grouped.fresh[group])
             if active[group]:
-                found += [(key, each) for each in self.matcher.run(state.partition, block, at, at + length)]
+                found += [(key, each) for each in self._run_one(state, block, needs, at, at + length, is_end=is_end)]
                 at += length
             else:
                 state.partition.ordinal += length
                 state.partition.last = events[group]
+                state.waiting = ()
             self._keep(key, state)
-        if self.bound.reach:
+        if self._has_tails:
             self._keep_tails(grouped, [group for group in wanted if grouped.keys[group] in self.open])
         return found
 
+    def _run_one(
+        self, state: Open, block: Block, needs: Needs | None, begin: int, end: int, *, is_end: bool
+    ) -> list[Found]:
+        if needs is None:
+            return self.matcher.run(state.partition, block, begin, end)
+        found, at, state.released = run(
+            self.matcher, state.partition, block, needs, (begin, end), state.released, is_end=is_end
+        )
+        state.waiting = block.events[at:end]
+        return found
+
     def _keep_tails(self, grouped: _Grouped, groups: list[int]) -> None:
-        """Remembers the last rows of these groups, as many as any expression looks back."""
+        """Remembers the last rows of these groups: those that wait, and as many as any expression looks back."""
         ends = [int(grouped.bounds[group + 1]) for group in groups]
         begins = [
-            max(int(grouped.bounds[group]), end - self.bound.reach) for group, end in zip(groups, ends, strict=True)
-        ]  # fmt: skip
+            max(int(grouped.bounds[group]), end - len(self.open[grouped.keys[group]].waiting) - self.bound.reach)
+            for group, end in zip(groups, ends, strict=True)
+        ]
         indices = [at for begin, end in zip(begins, ends, strict=True) for at in range(begin, end)]
         columns = [column.to_pylist() for column in grouped.table.take(pa.array(indices, pa.int64())).columns]
         rows = list(zip(*columns, strict=True))
@@ -302,11 +356,13 @@ class Engine:
     def _keep(self, key: Key, state: Open) -> None:
         """Remembers the partition if it has anything to remember, and when it falls due."""
         attempts = state.partition.attempts
-        if not attempts and not self.bound.looks_back:
+        if not attempts and not self.bound.remembers_all and not state.waiting:
             self.open.pop(key, None)
             return
         self.open[key] = state
         due_us = self.matcher.due(state.partition)
+        if due_us is not None and state.waiting and state.waiting[0][2] < due_us:
+            return
         if due_us is not None and (state.due_us is None or due_us < state.due_us):
             state.due_us = due_us
             heapq.heappush(self._due, (due_us, next(self._serial), key))
@@ -314,7 +370,7 @@ class Engine:
 
 def _touched_us(state: Open) -> int:
     """The time of the partition's last row."""
-    return 0 if state.partition.last is None else state.partition.last[2]
+    return 0 if state.last is None else state.last[2]
 
 
 def _as_table(rows: Sequence[tuple[Any, ...]], schema: pa.Schema) -> pa.Table:
@@ -343,6 +399,7 @@ def machine_of(bound: BoundRule, places: Places, masks: tuple[int, ...], *, is_s
         skip=bound.skip,
         skip_variables=bound.skip_variables,
         threads_most=bound.limits.threads,
+        skip_error=partial(rule_skip_error, bound),
         is_strict=is_strict,
     )
 

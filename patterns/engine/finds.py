@@ -38,6 +38,7 @@ class Finds:
         first: The events of their first rows.
         last: The events of their last rows.
         decided_us: The event times from which they were final; None: only the end of the input decided it.
+        numbers: Their numbers in their partitions, from 1; 0 where nobody counts.
         registers: By register what it held; `patterns.binding.registers.UNSET` where nothing.
         runs: Runs of rows of one variable and one stream, by columns `RUN_VARIABLE` and so on.
         begins: For each match where its runs begin, which stand in order.
@@ -48,6 +49,7 @@ class Finds:
     first: Events
     last: Events
     decided_us: Sequence[int | None]
+    numbers: Sequence[int]
     registers: Sequence[Sequence[Any]]
     runs: NDArray[np.int64]
     begins: NDArray[np.int64]
@@ -73,6 +75,7 @@ class Finds:
             first=Events(*zip(*(one.first for one in each), strict=True)),
             last=Events(*zip(*(one.ending.event for one in each), strict=True)),
             decided_us=[one.decided_us for one in each],
+            numbers=[one.number for one in each],
             registers=list(zip(*(one.ending.registers for one in each), strict=True)),
             runs=np.array([run for own in listed for run in own], dtype=np.int64),
             begins=ends - [len(own) for own in listed],

@@ -777,9 +777,11 @@ def _resolve(tables, state, cell, rule, how, time, stream, sequence):
     first = cells[cell, C_FIRST]
     while first >= 0 and attempts[first, A_THREAD] < 0:
         resume = _resume(tables, state, rule, first)
-        if resume < 0:
-            return -resume
         _hand_on(state, cell, first, how, time, stream, sequence)
+        if resume < 0:
+            # The match tells where; the attempt has it no longer.
+            attempts[first, E_THREAD] = -1
+            return -resume
         cells[cell, C_RESUME] = max(cells[cell, C_RESUME], resume)
         # The match is no longer the attempt's, which so counts as failed and goes.
         attempts[first, E_THREAD] = -1

@@ -32,8 +32,9 @@ from patterns.engine.pools import Shape, grown, new_scratch, new_state, with_par
 from patterns.engine.records import ROW_COLUMNS, STREAM_COLUMNS, Arrived, Layout, Recorder, RowEvaluator
 from patterns.engine.running import Counts, GivenUp, Outcome, needs
 from patterns.engine.situations import EventRef, Match, Narrator, as_python, event_ref, nearest_time
+from patterns.engine.skipping import rule_skip_error
 from patterns.engine.tails import Tails
-from patterns.errors import CalibrationUnknown, FrameSizeUnknown, LimitError, MatchError, PatternError, SkipError
+from patterns.errors import CalibrationUnknown, FrameSizeUnknown, LimitError, MatchError, PatternError
 from patterns.limits import Limits
 from patterns.scene.places import Places
 from patterns.scene.site import Site
@@ -138,9 +139,10 @@ class _Grouped:
 
 @dataclass(frozen=True, slots=True)
 class _Found:
-    """What was found of one rule, and the kernel's records of it."""
+    """What was found of one rule, the kernel's records of it, and where that stands which it found last."""
 
     finds: Finds
+    newest: int
     records: Integers
 
 
@@ -571,11 +573,11 @@ class Lane:
         member.failure = member.failure or _in_own_names(member, error)
         self.state.failures[at] = -1
 
-    def _note_failures(self) -> None:
+    def _note_failures(self, found: dict[int, _Found]) -> None:
         for at in np.flatnonzero(self.state.failures).tolist():
             member, failure = self.members[at], int(self.state.failures[at])
-            if failure > 0:
-                member.failure = _error_of(member.bound, failure)
+            if failure > 0 and member.failure is None:
+                member.failure = _error_of(member.bound, failure, found.get(at))
 
     # From what was found to situations.
 
@@ -586,8 +588,8 @@ class Lane:
         found: dict[int, _Found] | None = None,
     ) -> list[dict[str, Outcome]]:
         """What units led to for each rule, see `_advanced`; what was found is taken from the kernel unless it was."""
-        self._note_failures()
         found = self._found() if found is None else found
+        self._note_failures(found)
         outcomes: list[dict[str, Outcome]] = [{} for _ in late]
         marks = [_BEFORE_ALL_US if each is None else each for each in reached]
         for at, member in enumerate(self.members):
@@ -632,10 +634,13 @@ class Lane:
         found: dict[int, _Found] = {}
         for rule in np.unique(records[is_match, k.F_RULE]).tolist():
             own = np.flatnonzero(is_match & (records[:, k.F_RULE] == rule))
-            own = own[_decided_order(records[own], ranks)]
+            order = _decided_order(records[own], ranks)
+            newest, own = int(np.argmax(order)), own[order]
             registers = self._registers(self.members[rule], words[own], nulls[own])
             keys = self.keys.columns(records[own, k.F_PARTITION])
-            found[rule] = _Found(_finds(records[own], keys, registers, runs, begins[own], ends[own]), records[own])
+            found[rule] = _Found(
+                _finds(records[own], keys, registers, runs, begins[own], ends[own]), newest, records[own]
+            )
         return found
 
     def _registers(self, member: Member, words: Integers, nulls: Integers) -> list[list[Any]]:
@@ -809,6 +814,7 @@ def _finds(
         first=events(k.F_STREAM, k.F_SEQUENCE, k.F_TIME),
         last=events(k.F_END_STREAM, k.F_END_SEQUENCE, k.F_END_TIME),
         decided_us=decided_us,
+        numbers=[0] * len(records),
         registers=registers,
         runs=runs,
         begins=begins,
@@ -859,12 +865,12 @@ def _reader(bound: BoundRule, at: int) -> Kind | None:
     return bound.slots[register.slot].kind
 
 
-def _error_of(bound: BoundRule, failure: int) -> PatternError:
-    skip = f"AFTER MATCH SKIP {bound.skip.value}"
-    if failure == k.SKIP_NOWHERE:
-        return SkipError(f"{skip}: the variable is not in the match")
-    if failure == k.SKIP_FOR_EVER:
-        return SkipError(f"{skip}: it goes to the first row of the match, for ever")
+def _error_of(bound: BoundRule, failure: int, found: _Found | None) -> PatternError:
+    """What the kernel means by this; of what it found, the match at which it went no further is the last."""
+    if failure in (k.SKIP_NOWHERE, k.SKIP_FOR_EVER):
+        assert found is not None, "a skip is that of a match"
+        first, last = (events.event(found.newest) for events in (found.finds.first, found.finds.last))
+        return rule_skip_error(bound, first, last, failure == k.SKIP_FOR_EVER)
     return LimitError(
         f"a partition has more partial matches than the limit `threads`, {bound.limits.threads}. "
         "Begin the pattern with a rarer row, or shorten WITHIN"

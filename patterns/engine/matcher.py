@@ -6,6 +6,8 @@ rows. Its contract:
 
 - Matches come from the leftmost start on; of one start, the most preferred.
 - A match is found when no thread that is preferred to it, and no earlier start, is alive.
+- When the time of an attempt's WITHIN is over, what lives on of it is what `$` may still end: the partition's next
+  row, or the end of the input, decides that.
 - Threads of one start at one position that remember the same are one thread: the preferred
   one. Where a match skips past its last row and there is no WITHIN, this holds across starts
   too. So the work for a row is bounded by the pattern's size and what its guards remember.
@@ -13,6 +15,7 @@ rows. Its contract:
 """
 
 import math
+import operator
 from bisect import bisect_left
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -49,6 +52,8 @@ class Machine:
         skip: Where the search goes on after a match.
         skip_variables: Indices of the variables that SKIP TO means.
         threads_most: The limit `threads`, for one partition.
+        skip_error: What is raised where a match, from its first to its last row, has no row to skip to; asked with
+            whether the variable is there: then it is the match's first row.
         is_strict: Whether that limit is an error; else what is remembered of the partition is given up.
     """
 
@@ -62,6 +67,7 @@ class Machine:
     skip: SkipMode
     skip_variables: tuple[int, ...]
     threads_most: int
+    skip_error: Callable[[Event, Event, bool], SkipError]
     is_strict: bool = True
 
     @property
@@ -105,12 +111,14 @@ class Attempt:
         ordinal: Its number in the partition.
         threads: What is alive, preferred first.
         ending: The best match so far; less preferred than every thread.
+        is_over: Whether the time of WITHIN is over, so that no thread takes another row.
     """
 
     event: Event
     ordinal: int
     threads: list[Thread]
     ending: Ending | None = None
+    is_over: bool = False
 
 
 @dataclass(slots=True)
@@ -123,6 +131,8 @@ class Partition:
         last: The event of its last row, as far as anything was remembered of it then.
         key: Its partition columns, for virtual rows.
         fired_us: The time of the last virtual row; None: there was none.
+        number: How many matches were found, the empty ones among them.
+        resumed: The number of the row where the search went on after the last match.
     """
 
     attempts: list[Attempt] = field(default_factory=list)
@@ -130,6 +140,8 @@ class Partition:
     last: Event | None = None
     key: tuple[Any, ...] = ()
     fired_us: int | None = None
+    number: int = 0
+    resumed: int = 0
 
 
 class Found(NamedTuple):
@@ -140,12 +152,14 @@ class Found(NamedTuple):
         ending: Its last row, and what was remembered.
         decided_us: The event time from which it was final; None: only the end of the input decided it.
         decided_by: The event that decided it; None: time, by WITHIN, or the end of the input.
+        number: The match's number in its partition, from 1; 0 where nobody counts.
     """
 
     first: Event
     ending: Ending
     decided_us: int | None
     decided_by: Event | None
+    number: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,6 +183,9 @@ class Matcher:
     def __init__(self, machine: Machine) -> None:
         self.machine = machine
         self.merges_starts = machine.merges_starts
+        tables = machine.tables
+        self.ends_late = tuple(map(operator.ne, tables.accepts_end, tables.accepts))
+        """For each position whether only `$` makes the rows so far a match."""
         self.losses: list[Loss] = []
 
     def run(self, partition: Partition, block: Block, begin: int, end: int) -> list[Found]:
@@ -193,13 +210,14 @@ class Matcher:
             if attempts and self._is_due(partition, event[2]):
                 partition.ordinal = base + row
                 found += self.expire(partition, event[2])
+                found += self._not_last(partition, event)
             while next_start < len(block.starts) and block.starts[next_start] < row:
                 next_start += 1
             if next_start < len(block.starts) and block.starts[next_start] == row:
                 self._begin(attempts, event, base + row)
             if attempts:
                 self._step(partition, block, row, base + row)
-                found += self._resolved(attempts, event[2], event)
+                found += self._resolved(partition, event[2], event)
             row += 1
         partition.ordinal = base + end
         partition.last = block.events[end - 1]
@@ -207,23 +225,41 @@ class Matcher:
 
     def expire(self, partition: Partition, until_us: int) -> list[Found]:
         """The matches made final because time has come to `until_us`: no row before it is still to come."""
-        found = []
-        attempts = partition.attempts
-        while attempts and self._is_over(attempts[0], until_us):
-            deadline = self.deadline(attempts[0])
-            attempts[0].threads = []
-            found += self._resolved(attempts, deadline, None)
-        return found
+        return self._lapsed(partition, until_us)
 
     def finish(self, partition: Partition) -> list[Found]:
         """The matches made final because there are no more rows."""
-        found = []
-        attempts = partition.attempts
-        while attempts:
-            # One by one, so that each is decided by its own deadline, as it is where time passes it.
-            self._end(attempts[0], partition)
-            found += self._resolved(attempts, self.deadline(attempts[0]), None)
+        found = self._lapsed(partition, None)
+        while partition.attempts:
+            self._end(partition.attempts[0], partition)
+            found += self._resolved(partition, None, None)
         return found
+
+    def _lapsed(self, partition: Partition, until_us: int | None) -> list[Found]:
+        """The matches made final because the time of their WITHIN is over; None: it is for all, and no row came.
+
+        One by one, so that each is decided by its own deadline however far time went at once.
+        """
+        found: list[Found] = []
+        while (attempt := self._waiting(partition)) and (until_us is None or self._is_over(attempt, until_us)):
+            deadline = self.deadline(attempt)
+            if deadline is None:
+                break
+            attempt.is_over = True
+            attempt.threads = [each for each in attempt.threads if self.ends_late[each[0]]]
+            found += self._resolved(partition, deadline, None)
+        return found
+
+    def _not_last(self, partition: Partition, event: Event) -> list[Found]:
+        """The matches made final because a row came, so that the one before it was not the partition's last."""
+        over = [attempt for attempt in partition.attempts if attempt.is_over]
+        for attempt in over:
+            attempt.threads = []
+        return self._resolved(partition, event[2], event) if over else []
+
+    def _waiting(self, partition: Partition) -> Attempt | None:
+        """The first attempt that the time of WITHIN can still end."""
+        return next((attempt for attempt in partition.attempts if not attempt.is_over), None)
 
     def _end(self, attempt: Attempt, partition: Partition) -> None:
         """No more rows: the preferred of the threads that may end here is the attempt's match, if there is one."""
@@ -243,7 +279,8 @@ class Matcher:
 
     def due(self, partition: Partition) -> int | None:
         """When the matcher wants to be told that time has come, to decide what no row need decide."""
-        return self.deadline(partition.attempts[0]) if partition.attempts else None
+        attempt = self._waiting(partition)
+        return None if attempt is None else self.deadline(attempt)
 
     def _is_due(self, partition: Partition, now_us: int) -> bool:
         return self._is_over(partition.attempts[0], now_us)
@@ -320,9 +357,10 @@ class Matcher:
                     return
         attempt.threads = threads
 
-    def _resolved(self, attempts: list[Attempt], decided_us: int | None, decided_by: Event | None) -> list[Found]:
+    def _resolved(self, partition: Partition, decided_us: int | None, decided_by: Event | None) -> list[Found]:
         """The matches that nothing earlier or more preferred can still replace; attempts that failed are removed."""
         found: list[Found] = []
+        attempts = partition.attempts
         if not attempts:
             return found
         first = attempts[0]
@@ -334,13 +372,25 @@ class Matcher:
         while attempts and not attempts[0].threads:
             attempt = attempts.pop(0)
             if attempt.ending is not None:
-                found.append(Found(attempt.event, attempt.ending, decided_us, decided_by))
-                resume = self.resume(attempt.ordinal, attempt.ending)
+                resume = self.resume(attempt.event, attempt.ordinal, attempt.ending)
+                number = self._count(partition, attempt.ordinal, resume)
+                found.append(Found(attempt.event, attempt.ending, decided_us, decided_by, number))
                 attempts[:] = [later for later in attempts if later.ordinal >= resume]
         return found
 
-    def resume(self, start: int, ending: Ending) -> int:
-        """The number of the row where the search goes on after the match that begins at row `start`.
+    def _count(self, partition: Partition, start: int, resume: int) -> int:
+        """The number of the match that begins there; every row before it where the search stood is an empty match."""
+        tables = self.machine.tables
+        if tables.accepts[tables.start]:
+            partition.number += start - partition.resumed
+        if partition.resumed == 0 < start:
+            partition.number += tables.accepts[tables.first_start] - tables.accepts[tables.start]
+        partition.number += 1
+        partition.resumed = resume
+        return partition.number
+
+    def resume(self, first: Event, start: int, ending: Ending) -> int:
+        """The number of the row where the search goes on after the match that begins at row `start`, which is `first`.
 
         Raises:
             SkipError: There is none.
@@ -351,10 +401,8 @@ class Matcher:
         if skip is SkipMode.TO_NEXT_ROW:
             return start + 1
         target = _skip_target(ending.trace, self.machine.skip_variables, is_first=skip is SkipMode.TO_FIRST)
-        if target is None:
-            raise SkipError(f"AFTER MATCH SKIP {skip.value}: the variable is not in the match")
-        if target == start:
-            raise SkipError(f"AFTER MATCH SKIP {skip.value}: it goes to the first row of the match, for ever")
+        if target is None or target == start:
+            raise self.machine.skip_error(first, ending.event, target is not None)
         return target
 
 

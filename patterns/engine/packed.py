@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from patterns.binding.bound import BoundRule, Register
-from patterns.binding.expressions import Call, Const, Crosses, Expr, InZone, Kind, Shift, rebuilt, walk
+from patterns.binding.expressions import Call, Const, Crosses, Expr, InZone, Kind, rebuilt
 from patterns.binding.inputs import SITUATION
 from patterns.engine import kernel as k
 from patterns.engine.engine import live_registers
@@ -92,9 +92,10 @@ def _check(bound: BoundRule) -> None:
     for register in bound.registers:
         if register.offset or register.how == "list":
             raise NotPacked(f"a remembered value of the kind {register.how}, offset {register.offset}")
-    read = (*bound.predicates, *bound.slots)
-    if any(isinstance(part, Shift) and part.rows < 0 for each in read for part in walk(each)):
+    if any(bound.ahead):
         raise NotPacked("rows to come")
+    if bound.is_numbered:
+        raise NotPacked("the match's number")
 
 
 class _Names:

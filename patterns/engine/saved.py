@@ -14,6 +14,7 @@ from typing import Any
 import pyarrow as pa
 import zstandard
 
+from patterns.engine.ahead import Release
 from patterns.engine.engine import Engine, Open
 from patterns.engine.matcher import Attempt, Ending, Partition, Trace, runs
 from patterns.errors import StateError
@@ -61,42 +62,55 @@ def decode(state: bytes) -> Saved:
 
 def partitions_to_json(engine: Engine) -> list[Any]:
     """All that the engine remembers."""
-    return [_partition_to_json(key, state) for key, state in engine.open.items()]
+    more = engine.bound.is_numbered or engine.ahead is not None
+    return [_partition_to_json(key, state, more=more) for key, state in engine.open.items()]
 
 
-def _partition_to_json(key: tuple[Any, ...], state: Open) -> list[Any]:
+def _partition_to_json(key: tuple[Any, ...], state: Open, *, more: bool) -> list[Any]:
+    """What is remembered of the partition; `more`: what it counts, and which rows wait, too."""
     partition = state.partition
     attempts = [_attempt_to_json(attempt) for attempt in partition.attempts]
     rows = [list(row) for row in state.tail]
-    return [list(key), partition.ordinal, partition.last, partition.fired_us, rows, attempts]
+    said = [list(key), partition.ordinal, partition.last, partition.fired_us, rows, attempts]
+    counted = [partition.number, partition.resumed]
+    return [*said, counted, state.waiting, state.released] if more else said
 
 
 def partitions_from_json(saved: list[Any]) -> Iterator[tuple[tuple[Any, ...], Open]]:
     """What the engine is to remember, by partition."""
-    for key, ordinal, last, fired_us, tail, attempts in saved:
+    for key, ordinal, last, fired_us, tail, attempts, *more in saved:
+        (number, resumed), waiting, released = more or ((0, 0), [], None)
         newest = None if last is None else _event(last)
-        partition = Partition(
-            [_attempt_from_json(attempt) for attempt in attempts], ordinal, newest, tuple(key), fired_us
+        alive = [_attempt_from_json(attempt) for attempt in attempts]
+        partition = Partition(alive, ordinal, newest, tuple(key), fired_us, number, resumed)
+        yield (
+            tuple(key),
+            Open(
+                partition,
+                [tuple(row) for row in tail],
+                waiting=[_event(event) for event in waiting],
+                released=None if released is None else Release(released[0], _event(released[1])),
+            ),
         )
-        yield tuple(key), Open(partition, [tuple(row) for row in tail])
 
 
 def _attempt_to_json(attempt: Attempt) -> list[Any]:
     ending = attempt.ending
     threads = [[position, registers, _trace_to_json(trace)] for position, registers, trace in attempt.threads]
     best = None if ending is None else [ending.registers, _trace_to_json(ending.trace), ending.event, ending.ordinal]
-    return [attempt.event, attempt.ordinal, threads, best]
+    said = [attempt.event, attempt.ordinal, threads, best]
+    return [*said, True] if attempt.is_over else said
 
 
 def _attempt_from_json(saved: list[Any]) -> Attempt:
-    event, ordinal, threads, best = saved
+    event, ordinal, threads, best, *is_over = saved
     alive = [(position, _registers(registers), _trace(runs)) for position, registers, runs in threads]
     ending = None
     if best is not None:
         trace = _trace(best[1])
         assert trace is not None, "a match has rows"
         ending = Ending(_registers(best[0]), trace, _event(best[2]), best[3])
-    return Attempt(_event(event), ordinal, alive, ending)
+    return Attempt(_event(event), ordinal, alive, ending, bool(is_over))
 
 
 def _event(saved: list[int]) -> tuple[int, int, int]:

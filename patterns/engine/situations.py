@@ -265,6 +265,7 @@ class Narrator:
         outputs = (*bound.measures, *bound.title_columns)
         self.outputs = [(output.name, output.value.kind) for output in outputs]
         self.measured = len(bound.measures)
+        self.is_numbered = bound.is_numbered
         self.guards = [compile_guard(output.value, slots, registers, places) for output in outputs]
         self.plain = [_plain_register(output.value, registers) for output in outputs]
         self.are_times = [_is_other_time(output.value) for output in outputs]
@@ -295,9 +296,10 @@ class Narrator:
 
     def _values(self, finds: Finds) -> list[Sequence[Any]]:
         """The measures' and then the title's values, as the engine has them."""
-        rows = list(zip(*finds.registers, strict=True)) if finds.registers else [()] * len(finds)
+        remembered = [*finds.registers, finds.numbers] if self.is_numbered else finds.registers
+        rows = list(zip(*remembered, strict=True)) if remembered else [()] * len(finds)
         return [
-            [guard((), registers) for registers in rows] if at is None else _set(finds.registers[at])
+            [guard((), registers) for registers in rows] if at is None else _set(remembered[at])
             for guard, at in zip(self.guards, self.plain, strict=True)
         ]
 

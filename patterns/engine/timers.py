@@ -107,7 +107,7 @@ class TimedMatcher(Matcher):
         event: Event = (TIMER_STREAM, 0, time_us)
         row = _VirtualRow([bits | IS_VIRTUAL], [event], [values], [])
         self._step(partition, row, 0, partition.ordinal - 1)
-        return self._resolved(partition.attempts, time_us, event)
+        return self._resolved(partition, time_us, event)
 
     def _advance(
         self, attempt: Attempt, block: Block, row: int, ordinal: int, seen: dict[Any, float], safe_until: float

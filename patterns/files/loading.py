@@ -31,6 +31,9 @@ _STAGE_KEY = re.compile(rb"^stage\s*:", re.MULTILINE)
 KeyPath = tuple[str, ...]
 M = TypeVar("M", bound=BaseModel)
 
+_WANTS_QUOTES = ("mapping values are not allowed", "expected <block end>, but found '<scalar>'")
+_QUOTED = ". Next: put a text that begins with {, [, % or @, or has a colon in it, in quotes"
+
 _TOO_DEEP = f"a rule file nests at most {DEPTH_MOST} lists and mappings in each other, and none in itself"
 _TOO_MANY = "aliases (*name) make more values of this file than it has characters; write them out"
 
@@ -168,9 +171,11 @@ def _composed(document: Document) -> Node | None:
     except RecursionError as error:
         raise RuleError(_TOO_DEEP, document.place(0, 0)) from error
     except yaml.MarkedYAMLError as error:
-        mark = error.problem_mark or error.context_mark
+        is_unclosed = error.context == "while scanning a quoted scalar" and error.context_mark is not None
+        mark = error.context_mark if is_unclosed else error.problem_mark or error.context_mark
         line, column = (mark.line, mark.column) if mark else (0, 0)
-        message = f"not YAML: {error.problem or error.context}"
+        problem = "this quoted text is not closed" if is_unclosed else error.problem or error.context
+        message = f"not YAML: {problem}{_QUOTED if str(problem).startswith(_WANTS_QUOTES) else ''}"
         raise RuleError(message, document.place(line, column)) from error
 
 

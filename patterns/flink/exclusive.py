@@ -134,7 +134,7 @@ def _overlap(first: tuple[str, Const], second: tuple[str, Const]) -> bool:
     (op, low), (other_op, high) = first, second
     if low.value is None or high.value is None:
         return False
-    order = "<" if low.value < high.value else ">" if low.value > high.value else "="  # type: ignore[operator]
+    order = "<" if low.value < high.value else ">" if low.value > high.value else "="  # type: ignore[operator]  # one column's constants
     # x op low and x other_op high: try x below, at, between, at and above.
     places = {
         "<": (("<", "<"), ("=", "<"), (">", "<"), (">", "="), (">", ">")),

@@ -6,7 +6,8 @@ from patterns.binding.expressions import Const, Kind
 
 MILLISECOND_US = 1_000
 _UNITS = (("DAY", 86_400_000_000), ("HOUR", 3_600_000_000), ("MINUTE", 60_000_000), ("SECOND", 1_000_000))
-_DAYS_MOST = 999_999
+_DAYS_MOST = 1000
+"""Flink refuses intervals with more digits of days than three (DAY_INTERVAL_TYPES precision is not supported)."""
 TYPES = {
     Kind.BOOL: "BOOLEAN", Kind.INT: "BIGINT", Kind.FLOAT: "DOUBLE", Kind.STRING: "STRING",
     Kind.TIME: "TIMESTAMP_LTZ(6)", Kind.DURATION: "BIGINT", Kind.NULL: "BOOLEAN",
@@ -49,7 +50,7 @@ def constant(const: Const) -> str:
 
 
 def interval(microseconds: int) -> str | None:
-    """The duration as an INTERVAL literal; None if it is no whole number of milliseconds, or below zero.
+    """The duration as an INTERVAL literal; None if it is no whole number of milliseconds, below zero, or too long.
 
     Flink's intervals have milliseconds, and times to which they are added keep their microseconds.
     """

@@ -7,13 +7,14 @@ queries.
 """
 
 from collections.abc import Callable
+from difflib import get_close_matches
 from typing import NoReturn, TypeVar
 
 from sqlglot import exp
 from sqlglot.errors import ParseError
 from sqlglot.tokenizer_core import Token, TokenType
 
-from patterns.errors import NotSupportedYet, RuleError
+from patterns.errors import NotInRules, RuleError
 from patterns.language.dialect import ClauseDialect
 from patterns.language.pattern_parser import parse_pattern
 from patterns.language.syntax import (
@@ -40,10 +41,30 @@ NESTING_MOST = 30
 OPERATORS_MOST = 150
 """Operators and functions of an expression in each other; a chain of AND counts each."""
 
+_NAMED_INPUT = (
+    "its FROM is the whole input. Next: write what WITH names as an arm of FROM, or as a rule of its own, and read it "
+    "by situation('rule')"
+)
+_MEASURES_SAY = "what a situation says is named in MEASURES. Next: write SELECT *"
+_ONE_STREAM = (
+    "a rule reads events in one order as they come, and a join or a group is complete only when nothing more comes. "
+    "Next: unite types with FROM (SELECT ... UNION ALL BY NAME SELECT ...), filter in WHERE there, join in PATTERN"
+)
+_ONE_EVENT = (
+    "an arm reads one event at a time. Next: write SELECT list FROM type WHERE condition, united by UNION ALL BY NAME"
+)
+_EACH_MATCH = (
+    "each match is a situation when it is final, whatever others come. Next: say in DEFINE which matches count, in "
+    "`emit` how often; a rule can read them by situation('rule'), a query from the log"
+)
 _T = TypeVar("_T")
 _CLAUSES = ("PARTITION", "ORDER", "MEASURES", "ONE", "ALL", "AFTER", "INITIAL", "SEEK", "PATTERN", "SUBSET", "DEFINE")
+_BEFORE_PATTERN = ("PARTITION BY", "ORDER BY", "MEASURES", "ONE ROW PER MATCH", "ALL ROWS PER MATCH",
+                   "AFTER MATCH SKIP", "INITIAL", "PATTERN")  # fmt: skip
+_BEHIND_PATTERN = ("WITHIN", "SUBSET", "DEFINE")
+_PAIRS = {"PARTITION": "BY", "ORDER": "BY", "ONE": "ROW", "ALL": "ROWS", "AFTER": "MATCH", "PATTERN": "("}
 _OPENING, _CLOSING = ("(", "[", "{"), (")", "]", "}")
-_QUERY_NOT_YET = ("UNION", "EXCEPT", "INTERSECT", "JOIN", "WHERE", "GROUP", "ORDER", "HAVING", "LIMIT", "WITH",
+_OF_QUERIES = ("UNION", "EXCEPT", "INTERSECT", "JOIN", "WHERE", "GROUP", "ORDER", "HAVING", "LIMIT", "WITH",
                   "MATCH_RECOGNIZE", "CROSS", "LEFT", "RIGHT", "FULL", "INNER")  # fmt: skip
 
 
@@ -67,7 +88,7 @@ def parse(passage: Passage) -> Query:
 
     Raises:
         RuleError: Not one SELECT * FROM type MATCH_RECOGNIZE (...).
-        NotSupportedYet: SQL that this version does not understand.
+        NotInRules: SQL that a rule does not have.
     """
     return _Parser(passage).query()
 
@@ -86,7 +107,7 @@ class _Parser:
 
     def query(self) -> Query:
         if self.key() == "WITH":
-            self.refuse("WITH")
+            self.refuse("WITH", _NAMED_INPUT)
         self.expect("SELECT")
         self.select_star()
         self.expect("FROM")
@@ -97,22 +118,24 @@ class _Parser:
 
     def select_star(self) -> None:
         if self.key() != "*":
-            self.refuse("a SELECT list other than *")
+            self.refuse("SELECT list other than *", _MEASURES_SAY)
         self.index += 1
         if self.key() == ",":
-            self.refuse("a SELECT list other than *")
+            self.refuse("SELECT list other than *", _MEASURES_SAY)
 
     def arms(self) -> tuple[Arm, ...]:
         if not self.accept("("):
             name, rule = self.event_type()
-            if self.key() in (",", *_QUERY_NOT_YET) and self.key() != "MATCH_RECOGNIZE":
-                self.refuse(f"{self.word_shown()} after FROM")
+            if self.key() in (",", *_OF_QUERIES) and self.key() != "MATCH_RECOGNIZE":
+                self.refuse(
+                    "second table after FROM" if self.key() == "," else f"{self.word_shown()} after FROM", _ONE_STREAM
+                )
             return (Arm(name, rule, has_star=True, items=(), where=None),)
         arms = [self.arm()]
         while self.unites():
             arms.append(self.arm())
-        if self.key() in _QUERY_NOT_YET or self.key() == ",":
-            self.refuse(f"{self.word_shown()} in a sub-query of FROM")
+        if self.key() in _OF_QUERIES or self.key() == ",":
+            self.refuse("second table in an arm" if self.key() == "," else f"{self.word_shown()} in an arm", _ONE_EVENT)
         self.expect(")")
         return tuple(arms)
 
@@ -137,7 +160,7 @@ class _Parser:
         name, rule = self.event_type()
         where = None
         if self.accept("WHERE"):
-            where = self.scalar("WHERE", stops=(*_QUERY_NOT_YET, "WINDOW", "QUALIFY"))
+            where = self.scalar("WHERE", stops=(*_OF_QUERIES, "WINDOW", "QUALIFY"))
         return Arm(name, rule, has_star, items, where)
 
     def event_type(self) -> tuple[Identifier, str | None]:
@@ -174,12 +197,14 @@ class _Parser:
         return Item(word.name if word.is_quoted else word.name.lower(), word.start, value)
 
     def end(self) -> None:
-        if self.accept("AS") or (self.has_word() and self.key() not in (";", *_QUERY_NOT_YET)):
+        if self.key() == ",":
+            self.fail("wanted the end of the query, got ','; the parenthesis of MATCH_RECOGNIZE is closed before it")
+        if self.accept("AS") or (self.has_word() and self.key() not in (";", *_OF_QUERIES)):
             self.identifier("a name for the result")
         while self.accept(";"):
             pass
-        if self.key() in _QUERY_NOT_YET:
-            self.refuse(f"{self.word_shown()} after MATCH_RECOGNIZE")
+        if self.key() in _OF_QUERIES:
+            self.refuse(f"{self.word_shown()} after MATCH_RECOGNIZE", _EACH_MATCH)
         if self.has_word():
             self.fail(f"wanted the end of the query, got {self.word_shown()}")
 
@@ -211,13 +236,13 @@ class _Parser:
         if not self.accept("PARTITION"):
             return ()
         self.expect("BY")
-        return self.separated(lambda: self.column("a column to partition by"))
+        return self.listed("PARTITION BY", lambda: self.column("a column to partition by"))
 
     def order_by(self) -> tuple[Ordering, ...]:
         if not self.accept("ORDER"):
             return ()
         self.expect("BY")
-        return self.separated(self.ordering)
+        return self.listed("ORDER BY", self.ordering)
 
     def ordering(self) -> Ordering:
         column = self.column("a column to order by")
@@ -234,6 +259,8 @@ class _Parser:
     def column(self, what: str) -> Identifier:
         """A column's name, a table's before it left out; or, in a query, what an expression is called."""
         first = self.index
+        if self.stands_clause():
+            self.fail(f"wanted {what}, got {self.word_shown()}")
         if self.key() in (",", ")", ""):
             return self.identifier(what)
         names = 1
@@ -250,11 +277,13 @@ class _Parser:
         return Identifier(name, canonical_name(name, not is_name or last.is_quoted), key.at)
 
     def measures(self) -> tuple[Named, ...]:
-        return self.separated(self.measure) if self.accept("MEASURES") else ()
+        return self.listed("MEASURES", self.measure) if self.accept("MEASURES") else ()
 
     def measure(self) -> Named:
         value = self.scalar("MEASURES", stops=("AS",))
         self.expect("AS", "AS and the measure's name")
+        if self.stands_clause():
+            self.fail(f"MEASURES: wanted the measure's name, got {self.word_shown()}")
         return Named(self.identifier("the measure's name"), value)
 
     def rows_per_match(self) -> RowsPerMatch:
@@ -282,8 +311,8 @@ class _Parser:
             self.expect_all("LAST", "ROW")
             return Skip(SkipMode.PAST_LAST_ROW)
         self.expect("TO", "PAST LAST ROW, TO NEXT ROW, TO FIRST v, TO LAST v or TO v")
-        if self.key() == "NEXT" and self.key(1) == "ROW":
-            self.index += 2
+        if self.key() == "NEXT" and self.names_something(1) and self.key(1) != "INITIAL":
+            self.expect_all("NEXT", "ROW")
             return Skip(SkipMode.TO_NEXT_ROW)
         mode = SkipMode.TO_LAST
         if self.key() in ("FIRST", "LAST") and self.names_something(1):
@@ -300,9 +329,9 @@ class _Parser:
     def pattern(self) -> tuple[Pattern, int]:
         at = self.offset()
         wanted = "one of the clauses PARTITION BY, ORDER BY, MEASURES, ONE ROW PER MATCH, AFTER MATCH SKIP, PATTERN"
-        self.expect("PATTERN", wanted)
+        self.expect("PATTERN", wanted, _BEFORE_PATTERN)
         opening = self.offset()
-        self.expect("(")
+        self.expect("(", "( around the pattern")
         tree, end = parse_pattern(self.passage, opening)
         while self.has_word() and self.words[self.index].start < end:
             self.index += 1
@@ -315,25 +344,27 @@ class _Parser:
         return self.scalar("WITHIN")
 
     def subsets(self) -> tuple[Subset, ...]:
-        return self.separated(self.subset) if self.accept("SUBSET") else ()
+        return self.listed("SUBSET", self.subset) if self.accept("SUBSET") else ()
 
     def subset(self) -> Subset:
         name = self.identifier("a name for the union of variables")
         self.expect("=")
         self.expect("(")
-        members = self.separated(lambda: self.identifier("a pattern variable"))
+        members = self.separated("SUBSET", lambda: self.identifier("a pattern variable"))
         self.expect(")")
         return Subset(name, members)
 
     def defines(self) -> tuple[Named, ...]:
         if self.key() == ")":
             return ()
-        self.expect("DEFINE", "WITHIN, SUBSET, DEFINE or ')'")
-        return self.separated(self.define)
+        self.expect("DEFINE", "WITHIN, SUBSET, DEFINE or ')'", _BEHIND_PATTERN)
+        return self.separated("DEFINE", self.define)
 
     def define(self) -> Named:
         name = self.identifier("a pattern variable")
-        self.expect("AS")
+        if self.key() != "AS":
+            self.fail(f"DEFINE {name.name}: wanted AS, got {self.word_shown()}")
+        self.index += 1
         return Named(name, self.scalar("DEFINE"))
 
     def no_further_clause(self) -> None:
@@ -346,19 +377,43 @@ class _Parser:
     def scalar(self, clause: str, stops: tuple[str, ...] = ()) -> Scalar:
         """The expression up to a comma, a closing parenthesis, a clause or one of the stops."""
         first = self.index
-        depth = 0
+        open_at: list[int] = []
         while self.has_word():
             key = self.key()
-            if depth == 0 and (key in (",", *_CLOSING) or key in stops or (key in _CLAUSES and self.begins_clause())):
+            self.check_expression_goes_on(clause, first, open_at)
+            if not open_at and (key in (",", *_CLOSING) or key in stops or (key in _CLAUSES and self.begins_clause())):
                 break
-            depth += (key in _OPENING) - (key in _CLOSING)
-            if depth > NESTING_MOST:
+            if key in _OPENING:
+                open_at.append(self.index)
+            elif key in _CLOSING:
+                open_at.pop()
+            if len(open_at) > NESTING_MOST:
                 self.fail(f"{clause}: an expression nests at most {NESTING_MOST} parentheses in each other")
             self.index += 1
+        if open_at:
+            self.fail_open(clause, open_at)
         words = self.words[first : self.index]
         if not words:
             self.fail(f"{clause}: wanted an expression, got {self.word_shown()}")
         return Scalar(self.parse_words(words, clause), words[0].start, words[-1].end)
+
+    def check_expression_goes_on(self, clause: str, first: int, open_at: list[int]) -> None:
+        """Checks that no word stands here that an expression cannot have: what should end it is missing before."""
+        if self.key() == ";":
+            self.fail(f"{clause}: a semicolon must not stand inside MATCH_RECOGNIZE")
+        is_definition = clause == "DEFINE" and self.names_something(0) and self.key(1) == "AS"
+        if not open_at:
+            if is_definition and self.index > first:
+                self.fail(f"DEFINE: wanted ',' before {self.word_shown()} AS")
+            return
+        is_query = any(self.words[at + 1].key in ("SELECT", "WITH", "FROM") for at in open_at)
+        is_next = self.stands_clause() and self.key() not in ("PARTITION", "ORDER")
+        if not is_query and (is_next or (is_definition and self.key(-1) == ",")):
+            self.fail_open(clause, open_at)
+
+    def fail_open(self, clause: str, open_at: list[int]) -> NoReturn:
+        """Fails at the parenthesis that was opened last."""
+        raise self.passage.error(f"{clause}: this parenthesis is not closed", self.words[open_at[-1]].start)
 
     def parse_words(self, words: list[Word], clause: str) -> exp.Expression:
         opening, closing = Token(TokenType.L_PAREN, "("), Token(TokenType.R_PAREN, ")")
@@ -370,7 +425,7 @@ class _Parser:
                 if stumbled.start == at and word.key in ("RUNNING", "FINAL"):
                     message = f"{clause}: {word.key} stands before FIRST, LAST or an aggregate function only"
                     raise self.passage.error(message, word.start) from error
-            raise self.passage.error(f"{clause}: {_complaint(error)}", at) from error
+            raise self.passage.error(f"{clause}: {_complaint(error, words, at)}", at) from error
         except RecursionError as error:
             raise self.too_deep(clause, words[0].start) from error
         tree = trees[0]
@@ -395,6 +450,13 @@ class _Parser:
             return False
         return self.key(1) not in (".", "(", ",", ")") or (self.key() == "PATTERN" and self.key(1) == "(")
 
+    def stands_clause(self) -> bool:
+        """Whether the words here can be nothing but the beginning of a clause."""
+        key = self.key()
+        if key in _PAIRS:
+            return self.key(1) == _PAIRS[key]
+        return {"SUBSET": "=", "DEFINE": "AS"}.get(key) == self.key(2) != ""
+
     # The cursor.
 
     def has_word(self) -> bool:
@@ -415,10 +477,22 @@ class _Parser:
         self.index += 1
         return True
 
-    def separated(self, one: Callable[[], _T]) -> tuple[_T, ...]:
+    def listed(self, clause: str, one: Callable[[], _T]) -> tuple[_T, ...]:
+        """One or more, with commas between them; then the next clause."""
+        found = self.separated(clause, one)
+        is_clause = self.key() in (*_CLAUSES, *_BEHIND_PATTERN) or self.meant((*_BEFORE_PATTERN, *_BEHIND_PATTERN))
+        if self.names_something(0) and not is_clause:
+            self.fail(f"{clause}: wanted ',' or the next clause, got {self.word_shown()}")
+        return found
+
+    def separated(self, clause: str, one: Callable[[], _T]) -> tuple[_T, ...]:
         """One or more, with commas between them."""
         found = [one()]
-        while self.accept(","):
+        while self.key() == ",":
+            comma = self.offset()
+            self.index += 1
+            if not self.has_word() or self.key() == ")" or self.stands_clause():
+                raise self.passage.error(f"{clause}: nothing follows this comma", comma)
             found.append(one())
         return tuple(found)
 
@@ -426,9 +500,19 @@ class _Parser:
         for key in keys:
             self.expect(key)
 
-    def expect(self, key: str, wanted: str = "") -> None:
+    def expect(self, key: str, wanted: str = "", known: tuple[str, ...] = ()) -> None:
         if not self.accept(key):
-            self.fail(f"wanted {wanted or key}, got {self.word_shown()}")
+            self.fail(f"wanted {wanted or key}, got {self.word_shown()}{self.meant(known)}")
+
+    def meant(self, known: tuple[str, ...]) -> str:
+        """What the word here was meant to be, or why it must not stand here, as far as that can be said."""
+        if self.key() in _BEHIND_PATTERN and "PATTERN" in known:
+            return f"; {self.key()} comes behind PATTERN"
+        if self.key() in _CLAUSES and known:
+            return f"; {self.key()} stands too late or twice"
+        by_first = {each.split()[0]: each for each in known}
+        like = get_close_matches(self.key(), by_first, n=1)
+        return f"; did you mean {by_first[like[0]]}?" if like else ""
 
     def identifier(self, what: str) -> Identifier:
         if not self.has_word() or not self.words[self.index].is_identifier:
@@ -448,11 +532,8 @@ class _Parser:
     def fail(self, message: str) -> NoReturn:
         raise self.passage.error(message, self.offset())
 
-    def refuse(self, what: str) -> NoReturn:
-        self.refuse_at(what, self.offset())
-
-    def refuse_at(self, what: str, at: int) -> NoReturn:
-        raise self.passage.error(f"{what} is not supported yet", at, NotSupportedYet)
+    def refuse(self, what: str, why: str) -> NoReturn:
+        raise self.passage.error(f"rules have no {what}: {why}", self.offset(), NotInRules)
 
 
 def _height(tree: exp.Expr) -> int:
@@ -500,10 +581,13 @@ def _end_of_call(words: list[Word], opening: int) -> int:
     return len(words) - 1
 
 
-def _complaint(error: ParseError) -> str:
+def _complaint(error: ParseError, words: list[Word], at: int) -> str:
     details = error.errors[0] if error.errors else {}
-    description = str(details.get("description") or error).split(" missing for ")[0]
-    return f"{description} near {details.get('highlight')!r}" if details.get("highlight") else description
+    description, _, missing = str(details.get("description") or error).partition(" missing for ")
+    if missing:
+        description = "something is missing"
+    word = next((word for word in words if word.start == at), words[-1])
+    return f"{description.replace('Expecting', 'wanted')} near {word.text}"
 
 
 def _error_offset(error: ParseError, words: list[Word]) -> int:

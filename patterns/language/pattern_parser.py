@@ -33,6 +33,10 @@ _SPACE = re.compile(r"(?:\s|--[^\n]*(?:\n|$)|/\*.*?\*/)*", re.DOTALL)
 _NAME = re.compile(r'[A-Za-z_][A-Za-z0-9_]*|"(?:[^"]|"")+"')
 _BOUNDS = re.compile(r"\{\s*(?:(\d+)\s*(?:(,)\s*(\d+)?\s*)?|,\s*(\d+)?\s*)\}")
 _PERMUTE = re.compile(r"PERMUTE(?=\s*\()", re.IGNORECASE)
+_CLAUSE = re.compile(
+    rf"DEFINE\s+(?:{_NAME.pattern})\s+AS\b|SUBSET\s+(?:{_NAME.pattern})\s*=|WITHIN\s+(?:INTERVAL\b|:|')", re.IGNORECASE
+)
+"""The clauses that may follow PATTERN: no pattern goes on like that."""
 _ENDS = ("", "|", ")", ",")
 
 
@@ -73,7 +77,7 @@ class _Reader:
 
     def sequence(self, depth: int) -> Pattern:
         parts: list[Pattern] = []
-        while self.peek() not in _ENDS and not self.stands("-}"):
+        while self.peek() not in _ENDS and not self.stands("-}") and not self.follows():
             parts.append(self.factor(depth))
         if not parts:
             self.fail(f"PATTERN: wanted a variable or '(', got {self.shown()}")
@@ -115,7 +119,7 @@ class _Reader:
         self.at += 2
         body = self.alternation(depth + 1)
         if not self.stands("-}"):
-            if self.peek() == "":
+            if self.peek() in ("", ";") or self.follows():
                 self.at = opening
                 self.fail("PATTERN: this {- is not closed")
             self.fail(f"PATTERN: wanted '-}}', got {self.shown()}")
@@ -163,11 +167,15 @@ class _Reader:
 
     def close(self, opening: int) -> None:
         if self.peek() != ")":
-            if self.peek() == "":
+            if self.peek() in ("", ";") or self.follows():
                 self.at = opening
                 self.fail("PATTERN: this parenthesis is not closed")
             self.fail(f"PATTERN: wanted ')', got {self.shown()}")
         self.at += 1
+
+    def follows(self) -> bool:
+        """Whether the clause after PATTERN begins here."""
+        return _CLAUSE.match(self.passage.text, self.at) is not None
 
     def stands(self, sign: str) -> bool:
         """Whether this sign is next."""

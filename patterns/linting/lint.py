@@ -19,6 +19,7 @@ from patterns.language.text import did_you_mean
 from patterns.linting.findings import Finding, finding_of, warning
 from patterns.linting.overlaps import overlaps
 from patterns.linting.pattern_findings import pattern_findings
+from patterns.linting.skips import skip_findings
 from patterns.scene.quantities import FACTORS
 from patterns.scene.units import mismatches, units_of
 
@@ -63,6 +64,8 @@ def check(rule: Rule, schemas: Mapping[str, pa.Schema]) -> list[Finding]:
         *_slips(rule),
         *_mixed_units(rule, schemas),
         *pattern_findings(bound),
+        *skip_findings(bound),
+        *_hidden(bound),
         *_not_portable(rule, schemas),
     ]
 
@@ -178,6 +181,23 @@ def _not_portable(rule: Rule, schemas: Mapping[str, pa.Schema]) -> list[Finding]
     except RuleError as error:
         return [finding_of(error)]
     return []
+
+
+def _hidden(bound: BoundRule) -> list[Finding]:
+    """Measures named like a partition column, which nobody who asks for that name sees then."""
+    passage = bound.rule.passage("match")
+    keys = {name.casefold() for name in bound.keys}
+    return [
+        Finding(
+            "warning",
+            f"the measure {each.name.name!r} has the name of a partition column, which titles, tests and rules over "
+            "its situations cannot ask for then. Next: leave it out (every situation has its partition) or rename it",
+            passage.place(each.name.at),
+            "same-column",
+        )
+        for each in parse(passage).clause.measures
+        if each.name.name.casefold() in keys
+    ]
 
 
 def _expressions(bound: BoundRule) -> tuple[Expr, ...]:

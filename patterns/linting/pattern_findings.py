@@ -23,6 +23,7 @@ def pattern_findings(bound: BoundRule) -> list[Finding]:
         *_always(bound),
         *_unreachable(bound),
         *_unbounded(bound),
+        *_waits(bound),
         *_leading_loop(bound),
         *_timed_out(bound),
     ]
@@ -179,10 +180,11 @@ def _unbounded(bound: BoundRule) -> list[Finding]:
         findings.append(warning(bound.rule, message, "unbounded", "emit", "once_per"))
     at = parse(bound.rule.passage("match")).clause.pattern_at
     place = bound.rule.passage("match").place(at)
-    if bound.looks_back:
-        message = "PREV looks at rows before the match, so a row of every partition is remembered for good"
-        findings.append(Finding("warning", message, place, "unbounded"))
-    elif bound.within_us is None and not _is_timed_out(bound):
+    reasons = _remembered_for_good(bound)
+    findings += [Finding("warning", reason, place, "unbounded") for reason in reasons]
+    if reasons:
+        return findings
+    if bound.within_us is None and not _is_timed_out(bound):
         endless = _endless(bound)
         message = "without WITHIN, a partial match of a partition that falls silent is remembered for good"
         if endless:
@@ -191,6 +193,38 @@ def _unbounded(bound: BoundRule) -> list[Finding]:
             Finding("warning", f"{message}. Next: add WITHIN", place, "quadratic" if endless else "unbounded")
         )
     return findings
+
+
+def _remembered_for_good(bound: BoundRule) -> list[str]:
+    """Why something of every partition is remembered, whether a match is open there or not."""
+    tables = bound.tables
+    reasons = []
+    if tables.has_start_anchor:
+        reasons.append("^ asks whether a row is its partition's first, so every partition is remembered for good")
+    elif bound.looks_back:
+        reasons.append("PREV looks at rows before the match, so a row of every partition is remembered for good")
+    if bound.is_numbered:
+        reasons.append("MATCH_NUMBER counts the matches of every partition, so each is remembered for good")
+    if bound.within_us is not None and tables.accepts_end != tables.accepts:
+        reasons.append("$ waits for the partition's next row or the end of the input, whatever WITHIN says")
+    if any(bound.ahead):
+        reasons.append("NEXT waits for rows that a partition that falls silent never has")
+    return reasons
+
+
+def _waits(bound: BoundRule) -> list[Finding]:
+    """Rows that are decided only when others have come."""
+    names = [name for name, rows in zip(bound.variables, bound.ahead, strict=True) if rows]
+    if not names:
+        return []
+    passage = bound.rule.passage("match")
+    rows = max(bound.ahead)
+    what = "the next row of its partition" if rows == 1 else f"up to {rows} further rows of its partition"
+    message = (
+        f"NEXT: a row that may be {', '.join(names)} waits for {what}, or the end of the input, and situations "
+        "with it. Next: write the row that follows as a variable of its own, if it may not be long in coming"
+    )
+    return [Finding("warning", message, passage.place(parse(passage).clause.pattern_at), "waits")]
 
 
 def _endless(bound: BoundRule) -> str:

@@ -237,5 +237,5 @@ def _report(work: Work, member: Member) -> dict[str, Any]:
         "rows_waiting": status.rows_waiting,
         "watermark": None if status.watermark is None else status.watermark.isoformat(),
         "spent_s": round(status.spent_s, 6),
-        "event_us": round(member.pace.event_us, 3),
+        "event_us": round(member.pace.event_us, 3) or member.mark.report.get("event_us", 0.0),
     }

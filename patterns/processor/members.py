@@ -101,20 +101,24 @@ class Pace:
 
     Attributes:
         slow_windows: Windows in a row that were over the limit.
-        event_us: Microseconds an event took in the last window.
+        event_us: Microseconds an event took in the last window; in the first one, so far.
     """
 
     slow_windows: int = 0
     event_us: float = 0.0
+    _is_first: bool = True
     _spent_s: float = 0.0
     _events: int = 0
 
     def note(self, spent_s: float, events: int, event_us_most: float | None, window_events: int) -> None:
         """Takes in what the rule has spent so far, in all, on how many more events."""
         self._events += events
-        if self._events < window_events:
+        is_whole = self._events >= window_events
+        if (is_whole or self._is_first) and self._events:
+            self.event_us = (spent_s - self._spent_s) / self._events * 1e6
+        if not is_whole:
             return
-        self.event_us = (spent_s - self._spent_s) / self._events * 1e6
+        self._is_first = False
         is_slow = event_us_most is not None and self.event_us > event_us_most
         self.slow_windows = self.slow_windows + 1 if is_slow else 0
         self._spent_s, self._events = spent_s, 0

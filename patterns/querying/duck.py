@@ -22,6 +22,15 @@ _NO_AGGREGATES = frozenset(
 _MEMO_MOST = 100_000
 
 
+@cache
+def _instance() -> duckdb.DuckDBPyConnection:
+    """The DuckDB that has all connections: to open one takes longer than to answer a small query.
+
+    Each connection has settings and registered tables of its own.
+    """
+    return duckdb.connect(config={"threads": 1})
+
+
 class Duck:
     """Evaluates SQL expressions. Not for several threads at once."""
 
@@ -29,7 +38,7 @@ class Duck:
         """Opens the connection; `questions_most` is the limit `questions`."""
         self.questions_most = questions_most
         self.questions = 0
-        self.connection = duckdb.connect(config={"threads": 1})
+        self.connection = _instance().cursor()
         self.connection.execute("SET integer_division = true; SET TimeZone = 'UTC'")
 
     def close(self) -> None:

@@ -12,7 +12,8 @@ import json
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from itertools import islice
+from difflib import get_close_matches
+from itertools import islice, pairwise
 from typing import Any
 
 import duckdb
@@ -32,6 +33,8 @@ from patterns.querying.duck import sql_of
 from patterns.querying.recognition import recognise
 
 _CLAUSE = "MATCH_RECOGNIZE"
+_LISTED_MOST = 10_000
+"""Values that the sub-query of IN in MEASURES may give."""
 _STANDS_ALONE = (
     "the input of MATCH_RECOGNIZE is a query of its own: it does not see columns of the query around it, and "
     "LATERAL or correlated input is not supported"
@@ -192,6 +195,12 @@ def _closing(passage: Passage, at: int) -> int:
             depth -= 1
             if depth == 0:
                 return word.end
+    end = passage.place(len(passage.text.rstrip()) - 1)
+    try:
+        parse_clause(_part(passage, at, len(passage.text)), 0)
+    except RuleError as error:
+        if (error.line, error.column) < (end.line, end.column):  # a parenthesis inside, or what hid the closing one
+            raise
     raise passage.error(f"the parenthesis of {_CLAUSE} is not closed", opening)
 
 
@@ -221,7 +230,7 @@ def _run(passage: Passage, statement: Statement, opened: duckdb.DuckDBPyConnecti
 
 
 def _with_values(clause: Clause, opened: duckdb.DuckDBPyConnection) -> Clause:
-    """The clause with the value of each scalar sub-query of MEASURES in its place; such a query sees tables only."""
+    """The clause with the values of sub-queries of MEASURES in their places; such a query sees tables only."""
 
     def settled(measure: Named) -> Named:
         node: Any = measure.value.node.transform(lambda part: _value_of(part, clause.passage, measure.value.at, opened))
@@ -231,13 +240,43 @@ def _with_values(clause: Clause, opened: duckdb.DuckDBPyConnection) -> Clause:
 
 
 def _value_of(node: exp.Expression, passage: Passage, at: int, opened: duckdb.DuckDBPyConnection) -> exp.Expr:
-    """The node; of a scalar sub-query or EXISTS its value."""
+    """The node; of a scalar sub-query or EXISTS its value, of IN with a sub-query IN with what that gives."""
+    if isinstance(node, exp.In) and node.args.get("query") is not None:
+        return _among_values(node, passage, at, opened)
     is_compared = isinstance(node.parent, exp.In | exp.Any | exp.All)
     if not isinstance(node, exp.Exists | exp.Subquery) or is_compared:
         return node
     at = offset_of(node, at)
     sql = f"SELECT CAST(value AS VARCHAR) AS text, typeof(value) AS kind FROM (SELECT {sql_of(node)} AS value)"
     (found,) = _run(passage, Statement(sql, (0,), ((at, at + 1),)), opened).to_pylist()
+    return _typed_value(found)
+
+
+def _among_values(node: exp.In, passage: Passage, at: int, opened: duckdb.DuckDBPyConnection) -> exp.Expr:
+    """IN with the values of its sub-query written out; nothing is among none."""
+    query = node.args["query"]
+    at = offset_of(query, offset_of(node, at))
+    place = ((at, at + 1),)
+    columns = _run(passage, Statement(f"SELECT * FROM {sql_of(query)} LIMIT 0", (0,), place), opened).num_columns
+    if columns != 1:
+        raise passage.error(f"MEASURES: the sub-query of IN gives one column, got {columns}", at)
+    sql = (
+        "SELECT DISTINCT CAST(value AS VARCHAR) AS text, typeof(value) AS kind "
+        f"FROM {sql_of(query)} AS listed(value) LIMIT {_LISTED_MOST + 1}"
+    )
+    found = _run(passage, Statement(sql, (0,), place), opened).to_pylist()
+    if len(found) > _LISTED_MOST:
+        message = f"MEASURES: the sub-query of IN gives at most {_LISTED_MOST:,} different values, got more"
+        raise passage.error(f"{message}. Next: join it outside", at)
+    if not found:
+        return exp.false()
+    values = [_typed_value(each) for each in found]
+    operand = node.this.transform(lambda part: _value_of(part, passage, at, opened))
+    return exp.In(this=operand, expressions=values)
+
+
+def _typed_value(found: dict[str, Any]) -> exp.Expr:
+    """A value that DuckDB gave as text and type, as an expression."""
     value = exp.null() if found["text"] is None else exp.Literal.string(found["text"])
     return value if found["kind"] == '"NULL"' else exp.cast(value, found["kind"], dialect=ClauseDialect)
 
@@ -266,9 +305,22 @@ def _explained(passage: Passage, statement: Statement, error: duckdb.Error, is_i
     message = f"{kind}: {told['exception_message']}"
     if is_input and isinstance(error, duckdb.BinderException) and "not found" in message:
         message += f"\n({_STANDS_ALONE})"
+    if isinstance(error, duckdb.ParserException):
+        message += _meant(passage)
     octets = int(told.get("position", 0))
     offset = len(statement.sql.encode()[:octets].decode(errors="ignore"))
     return passage.error(message, statement.origin(offset), QueryError)
+
+
+def _meant(passage: Passage) -> str:
+    """Where a word is like MATCH_RECOGNIZE, or has no parenthesis behind it, that this may be what is wrong."""
+    for word, after in pairwise(lexemes(passage)):
+        if word.key == _CLAUSE and after.key not in ("(", ")", ",", "."):
+            return f"\n({_CLAUSE} wants a parenthesis behind it, got {after.text})"
+        is_like = word.key != _CLAUSE and get_close_matches(word.key, (_CLAUSE,), n=1, cutoff=0.8)
+        if is_like and after.key == "(":
+            return f"\n({word.text}: did you mean {_CLAUSE}?)"
+    return ""
 
 
 def _distinctly_named(table: pa.Table) -> pa.Table:

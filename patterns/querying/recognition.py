@@ -10,6 +10,7 @@ stand in them; the order of rows, the automaton and the navigation are ours.
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import duckdb
@@ -18,8 +19,9 @@ import pyarrow as pa
 
 from patterns.binding.program import ProgramTooLarge, Tables, compile_pattern, tabulate
 from patterns.binding.registers import initial, live_registers, update_of
-from patterns.engine.matcher import Block, Found, Machine, Matcher, Partition, runs
-from patterns.errors import LimitError, MatchError
+from patterns.engine.matcher import Block, Event, Found, Machine, Matcher, Partition, runs
+from patterns.engine.skipping import skip_error
+from patterns.errors import LimitError, MatchError, SkipError
 from patterns.language.syntax import (
     Alternation,
     Clause,
@@ -40,6 +42,8 @@ from patterns.querying.ordered import OrderedRows, ordered
 from patterns.querying.symbols import Symbols
 
 _STRIDE = 1_000
+_STEPS_A_ROW = 10
+"""How many steps for each row of the input a search may take, where that is more than the limit."""
 
 
 def recognise(
@@ -205,7 +209,7 @@ class _Recognition:
     def searched(self, rows: OrderedRows, tables: Tables, conditions: Conditions, within_us: int | None) -> _Output:
         """Every match, empty match and row of none, in the order in which the search meets them."""
         able, values = conditions.evaluated(self.symbols, rows)
-        machine = self.machine(tables, conditions, within_us)
+        machine = self.machine(rows, tables, conditions, within_us)
         bits = np.zeros(rows.table.num_rows, dtype=object if len(able) > 62 else np.int64)
         for variable, truth in enumerate(able):
             bits = bits | (truth.astype(bits.dtype) << variable)
@@ -229,7 +233,19 @@ class _Recognition:
         found: list[int] = times.to_pylist()
         return found
 
-    def machine(self, tables: Tables, conditions: Conditions, within_us: int | None) -> Machine:
+    def skip_error(self, rows: OrderedRows, first: Event, last: Event, is_there: bool) -> SkipError:
+        """The error of a match that cannot be skipped from, which names its first and last row by their keys."""
+        names = [self.key(each, "PARTITION BY") for each in self.clause.partition_by]
+        names += [self.key(each.column, "ORDER BY") for each in self.clause.order_by]
+
+        def told(event: Event) -> str:
+            row = event[1]
+            keys = ", ".join(f"{name} {rows.table.column(name)[row].as_py()}" for name in names)
+            return keys or f"row {row + 1}"
+
+        return skip_error(self.clause, f"{told(first)} to {told(last)}", is_there)
+
+    def machine(self, rows: OrderedRows, tables: Tables, conditions: Conditions, within_us: int | None) -> Machine:
         count = len(self.symbols.variables)
         registers = conditions.registers
         reads = [set(each) for each in conditions.reads]
@@ -259,6 +275,7 @@ class _Recognition:
             skip=self.clause.skip.mode,
             skip_variables=(*skipped, *(variable + count for variable in skipped)),
             threads_most=self.limits.threads,
+            skip_error=partial(self.skip_error, rows),
         )
 
     def put(self, search: "_Search", output: _Output, tables: Tables, begin: int, end: int) -> None:
@@ -352,7 +369,7 @@ class _Search:
             if wants_all:
                 yield from ((at, None) for at in range(row, first))
             yield first, each
-            row = begin + self.matcher.resume(first - begin, each.ending)
+            row = begin + self.matcher.resume(each.first, first - begin, each.ending)
         if wants_all:
             yield from ((at, None) for at in range(row, end))
 
@@ -362,7 +379,7 @@ class _Search:
             found = self.at(row, begin, end, number + 1) if row in self.is_start else None
             yield row, found
             number += found is not None or tables.accepts[tables.starting(row == begin)]
-            row = row + 1 if found is None else begin + self.matcher.resume(row - begin, found.ending)
+            row = row + 1 if found is None else begin + self.matcher.resume(found.first, row - begin, found.ending)
 
     def at(self, row: int, begin: int, end: int, number: int) -> Found | None:
         """The match that begins at the row, as the one of this number."""
@@ -370,22 +387,25 @@ class _Search:
         matcher = Matcher(replace(self.machine, registers=registers))
         block = replace(self.block, starts=[row])
         state = Partition(ordinal=row - begin)
-        at = row
+        at, stride = row, 1
         found: list[Found] = []
         while not found and at < end and (at == row or state.attempts):
-            step = min(end, at + _STRIDE)
+            step = min(end, at + stride)
             found = matcher.run(state, block, at, step)
-            self.count(step - at)
-            at = step
+            self.count((step - at) * max(1, sum(len(attempt.threads) for attempt in state.attempts)))
+            at, stride = step, min(2 * stride, _STRIDE)
         found = found or matcher.finish(state)
         return found[0] if found else None
 
     def count(self, steps: int) -> None:
         self.steps += steps
-        if self.steps > self.limits.steps:
+        rows = len(self.block.bits)
+        most = max(self.limits.steps, _STEPS_A_ROW * rows)
+        if self.steps > most:
             raise LimitError(
-                f"MATCH_NUMBER in DEFINE makes the search go row by row; it took {self.steps} steps, the limit "
-                f"`steps` is {self.limits.steps}. Ask for the number in MEASURES instead"
+                "MATCH_NUMBER in DEFINE makes the search go start by start, each over all rows until it is decided: "
+                f"{self.steps:,} steps so far over {rows:,} rows, and the limit `steps` is {most:,}. Next: ask for the "
+                "number in MEASURES, or let a start fail sooner, by WITHIN or a condition"
             )
 
 

@@ -3,6 +3,7 @@
 Checks the clause's own names, and turns expressions as written into expressions over the input's columns.
 """
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import date, datetime, timedelta
@@ -24,7 +25,11 @@ from patterns.language.navigation import (
 )
 from patterns.language.pattern_variables import pattern_variables
 from patterns.language.syntax import Clause, Identifier, Scalar
+from patterns.language.text import did_you_mean
 from patterns.querying.duck import Duck, aggregates, first_line, quoted, sql_of, unsteady_functions
+
+_UNKNOWN_FUNCTION = re.compile(r"Function with name (\w+) does not exist")
+_OF_PATTERNS = ("PREV", "NEXT", "FIRST", "LAST", "CLASSIFIER", "MATCH_NUMBER")
 
 
 @dataclass(frozen=True)
@@ -82,7 +87,7 @@ class Symbols:
         """
         found = self.columns.get(identifier.name.lower())
         if found is None:
-            have = ", ".join(self.types)
+            have = ", ".join(self.types) + did_you_mean(identifier.name, self.types)
             message = f"{clause}: unknown column {identifier.name!r}; there are: {have}"
             raise self.clause.passage.error(message, identifier.at)
         return found
@@ -95,7 +100,8 @@ class Symbols:
         """
         for node in scalar.node.walk():
             if isinstance(node, exp.Query | exp.Exists | exp.Subquery) or node.args.get("query"):
-                self._fail(clause, "a sub-query must not stand here; join its result outside", node, scalar)
+                message = "a sub-query must not stand here, but in MEASURES as a value, in EXISTS or behind IN"
+                self._fail(clause, message, node, scalar)
             if isinstance(node, exp.Star) and not _is_counted(node):
                 self._fail(clause, "* stands in COUNT only", node, scalar)
             if isinstance(node, exp.Window):
@@ -135,10 +141,10 @@ class Symbols:
         if name is None:
             at = offset_of(column, at)
             if len(parts) > 1:
-                have = ", ".join(self.frames) or "none"
+                have = (", ".join(self.frames) or "none") + did_you_mean(parts[0].name, self.frames)
                 message = f"{clause}: unknown pattern variable {parts[0].name!r}; there are: {have}"
             else:
-                have = ", ".join(self.types)
+                have = ", ".join(self.types) + did_you_mean(parts[0].name, self.types)
                 message = f"{clause}: unknown column {parts[0].name!r}; there are: {have}"
             raise self.clause.passage.error(message, at)
         found: exp.Expr = exp.Column(this=exp.to_identifier(name, quoted=True))
@@ -188,10 +194,17 @@ class Symbols:
         try:
             return self.duck.types([sql_of(expression)], columns)[0]
         except duckdb.Error as error:
-            raise self.clause.passage.error(f"{clause}: {first_line(error)}", scalar.at) from error
+            message = f"{clause}: {first_line(error)}{_meant_function(error)}"
+            raise self.clause.passage.error(message, scalar.at) from error
 
     def _fail(self, clause: str, message: str, node: exp.Expr, scalar: Scalar) -> NoReturn:
         raise self.clause.passage.error(f"{clause}: {message}", offset_of(node, scalar.at))
+
+
+def _meant_function(error: duckdb.Error) -> str:
+    """The function of row patterns that was meant, where DuckDB does not know one and it is like that."""
+    found = _UNKNOWN_FUNCTION.search(str(error)) if isinstance(error, duckdb.CatalogException) else None
+    return did_you_mean(found[1], _OF_PATTERNS) if found else ""
 
 
 def _is_counted(star: exp.Star) -> bool:

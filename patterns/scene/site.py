@@ -184,7 +184,7 @@ def calibration_of(event: CameraCalibrated, stream: str, sequence: int) -> Calib
     try:
         rows = [tuple(float(value) for value in row) for row in json.loads(event.homography)]
         first, second, third = rows
-        return Calibration((first, second, third), (event.width, event.height))  # type: ignore[arg-type]
+        return Calibration((first, second, third), (event.width, event.height))  # type: ignore[arg-type]  # it checks that each has three
     except (TypeError, ValueError) as error:
         raise MatchError(f"{stream}/{sequence} says no calibration: {error}") from error
 

@@ -3,18 +3,21 @@
 Rows may leave out the envelope, as in a rule's tests, and `confidence` (1) and `vx` and `vy` (0).
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
 
-from events import events_of
+from events import events_of, schema_of
+from events.catalogue import SHIPPED
 from patterns.binding.expressions import Kind
 from patterns.errors import PatternError, RuleError
 from patterns.stages.running import derive, reads
 from patterns.stages.settings import Stage
-from patterns.tools.cases import TestResult, agrees, column_type, csv_records, shown, typed
+from patterns.tools.cases import TestResult, agrees, shown
+from patterns.tools.given import check_columns, column_type, given_rows
 
 _ENVELOPE = {
     "time": Kind.TIME, "sequence": Kind.INT, "station": Kind.STRING, "source": Kind.STRING, "type": Kind.STRING,
@@ -37,11 +40,12 @@ def stage_rows(stage: Stage, index: int) -> pa.Table:
     Raises:
         RuleError: The CSV file is not there, or a value is not of its column's type.
     """
-    given = stage.tests[index].given
-    passage = stage.passage("tests", index, "given")
     folder = stage.path.parent if stage.path is not None else Path()
-    records: Iterable[Mapping[str, Any]] = csv_records(folder / given, passage) if isinstance(given, str) else given
+    rows = given_rows(stage.tests[index].given, folder, partial(stage.passage, "tests", index, "given"))
     kinds = _ENVELOPE | reads(stage)
+    fields = next((schema_of(each).names for each in SHIPPED if each.type_name == stage.reads), None)
+    if fields is not None:
+        check_columns(rows, {*kinds, *fields, "subject"})
     sources = {zone.source for zone in stage.occupancy.zones.values()} if stage.occupancy else set()
     plain: dict[str, Any] = {
         "station": "test",
@@ -50,14 +54,11 @@ def stage_rows(stage: Stage, index: int) -> pa.Table:
     }
     plain |= {name: value for name, value in _SEEN.items() if name in kinds}
     columns: dict[str, list[Any]] = {name: [] for name in kinds}
-    for number, record in enumerate(records, start=1):
-        whole = {"sequence": number, **plain, **record}
+    for row in rows:
+        defaults = {"sequence": row.number, **plain}
         for name, kind in kinds.items():
-            try:
-                value = whole.get(name)
-                columns[name].append(None if value is None else typed(value, kind))
-            except ValueError as error:
-                raise passage.error(f"row {number}, column {name}: {error}", 0) from error
+            value = row.typed(name, kind)
+            columns[name].append(defaults.get(name) if value is None else value)
     return pa.table({name: pa.array(values, column_type(kinds[name])) for name, values in columns.items()})
 
 

@@ -6,19 +6,18 @@ wanted of them. Rows may leave out the envelope: `sequence` counts from 1,
 name, or `test`, and columns that are not given are NULL.
 """
 
-import csv
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
-from pathlib import Path
+from datetime import datetime, timedelta
+from functools import partial
 from typing import Any
 
 import pyarrow as pa
 
 from patterns.binding.binder import bind
 from patterns.binding.bound import BoundRule
-from patterns.binding.columns import arrow_type
 from patterns.binding.expressions import Kind
+from patterns.binding.inputs import ENVELOPE, situation_key
 from patterns.durations import parse_duration
 from patterns.engine.running import match
 from patterns.engine.situations import Match
@@ -27,6 +26,7 @@ from patterns.files.rule import Case, Rule
 from patterns.language.text import Passage
 from patterns.scene.ground import Calibration
 from patterns.scene.site import Shape, Site
+from patterns.tools.given import check_columns, column_type, given_rows, time_of
 
 _FLOAT_TOLERANCE = 1e-9
 
@@ -65,7 +65,7 @@ def _result(rule: Rule, schemas: Mapping[str, pa.Schema], index: int, case: Case
     bound = bind(rule, schemas, site=case_site(case))
     name = case.name or (case.given if isinstance(case.given, str) else f"test {index + 1}")
     try:
-        rows = case_rows(bound, index)
+        rows = case_rows(bound, schemas, index)
         found = match(bound, rows)
     except RuleError:
         raise
@@ -92,38 +92,41 @@ def case_site(case: Case) -> Site:
     return Site.of(case.frames, shapes, calibrations)
 
 
-def case_rows(bound: BoundRule, index: int) -> pa.Table:
+def case_rows(bound: BoundRule, schemas: Mapping[str, pa.Schema], index: int) -> pa.Table:
     """The rows of the rule's test of this index.
 
     Raises:
-        RuleError: The CSV file is not there, or a value is not of its column's type.
+        RuleError: The CSV file is not there, or a row has a column that no event type of the rule has, a value of
+            another type than its column, or no time.
     """
     rule = bound.rule
     case = rule.tests[index]
-    passage = rule.passage("tests", index, "given")
-    records: Iterable[Mapping[str, Any]] = (
-        csv_records(rule.folder / case.given, passage) if isinstance(case.given, str) else case.given
-    )
-    kinds = _kinds(bound, passage)
+    rows = given_rows(case.given, rule.folder, partial(rule.passage, "tests", index, "given"))
+    kinds = _kinds(bound, rule.passage("tests", index, "given"))
+    check_columns(rows, {*kinds, *_readable(bound, schemas)})
     shapes = (*rule.zones.values(), *rule.lines.values(), *case.zones.values(), *case.lines.values())
     sources = {shape.source for shape in shapes} | set(case.calibrations)
     source = sources.pop() if len(sources) == 1 else "test"
     columns: dict[str, list[Any]] = {name: [] for name in kinds}
     only_type = next(iter(bound.types)) if len(bound.types) == 1 else None
-    for number, record in enumerate(records, start=1):
-        if only_type is None and record.get("type") is None:
-            types = ", ".join(sorted(bound.types))
-            raise passage.error(f"row {number}: the rule reads several types, so a row says its `type`: {types}", 0)
-        defaults = {"sequence": number, "station": "test", "source": source, "type": only_type}
+    for row in rows:
+        if only_type is None and row.values.get("type") is None:
+            raise row.error(f"the rule reads several types, so a row says its `type`: {', '.join(sorted(bound.types))}")
+        defaults = {"sequence": row.number, "station": "test", "source": source, "type": only_type}
         for name, kind in kinds.items():
-            value = record.get(name)
-            try:
-                columns[name].append(defaults.get(name) if value is None else typed(value, kind))
-            except ValueError as error:
-                message = f"row {number}, column {name}: {error}"
-                raise passage.error(message, 0) from error
+            value = row.typed(name, kind)
+            columns[name].append(defaults.get(name) if value is None else value)
     arrays = {name: pa.array(values, column_type(kinds[name])) for name, values in columns.items()}
     return pa.table(arrays)
+
+
+def _readable(bound: BoundRule, schemas: Mapping[str, pa.Schema]) -> set[str]:
+    """The columns of all that the rule reads, whether it asks for them or not."""
+    names = set(ENVELOPE)
+    for each in bound.inputs:
+        known = schemas.get(each.type if each.situation_of is None else situation_key(each.situation_of))
+        names.update(known.names if known is not None else ())
+    return names
 
 
 def _kinds(bound: BoundRule, passage: Passage) -> dict[str, Kind]:
@@ -200,7 +203,7 @@ def _is_same(want: Any, have: Any) -> bool:
     if isinstance(have, timedelta) and isinstance(want, str):
         return parse_duration(want) == have
     if isinstance(have, datetime):
-        return isinstance(want, datetime | str) and _time(want) == have
+        return isinstance(want, datetime | str) and time_of(want) == have
     if isinstance(have, float) and isinstance(want, int | float):
         return abs(have - want) <= _FLOAT_TOLERANCE * max(1.0, abs(want))
     return bool(want == have)
@@ -213,49 +216,5 @@ def shown(values: Mapping[str, Any]) -> str:
 
 def _plain(value: Any) -> str:
     if isinstance(value, datetime):
-        return _time(value).isoformat().replace("+00:00", "Z")
+        return time_of(value).isoformat().replace("+00:00", "Z")
     return f"{value.total_seconds():g} s" if isinstance(value, timedelta) else str(value)
-
-
-def csv_records(path: Path, passage: Passage) -> list[Mapping[str, Any]]:
-    """The rows of a CSV file, empty cells left out.
-
-    Raises:
-        RuleError: The file cannot be read; it points at the passage that names it.
-    """
-    try:
-        with path.open(newline="", encoding="utf-8") as file:
-            records = list(csv.DictReader(file))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise passage.error(f"cannot read {path}: {error}", 0) from error
-    return [{key: value for key, value in record.items() if value != ""} for record in records]
-
-
-def typed(value: Any, kind: Kind) -> Any:
-    """A cell of a test as a value of this type.
-
-    Raises:
-        ValueError: It is not one.
-    """
-    if kind is Kind.TIME:
-        return _time(value)
-    if kind is Kind.DURATION:
-        return parse_duration(value) if isinstance(value, str) else value
-    if kind is Kind.BOOL and isinstance(value, str):
-        if value.lower() not in ("true", "false"):
-            raise ValueError(f"wanted true or false, got {value!r}")
-        return value.lower() == "true"
-    wanted = {Kind.INT: int, Kind.FLOAT: float, Kind.STRING: str}.get(kind)
-    return value if wanted is None else wanted(value)
-
-
-def _time(value: Any) -> datetime:
-    time = datetime.fromisoformat(value) if isinstance(value, str) else value
-    if not isinstance(time, datetime):
-        raise ValueError(f"wanted a time such as 2026-01-01T10:00:00Z, got {value!r}")
-    return time.replace(tzinfo=UTC) if time.tzinfo is None else time.astimezone(UTC)
-
-
-def column_type(kind: Kind) -> Any:
-    """The Arrow type in which a test's rows hold values of this kind."""
-    return {Kind.TIME: pa.timestamp("us", "UTC"), Kind.DURATION: pa.duration("us")}.get(kind) or arrow_type(kind)

@@ -154,7 +154,9 @@ class _Asked:
         return Shortfall(self.told(expr), what, 2.0)
 
     def why_null(self, expr: Expr) -> str:
-        return " (there is no such row before it)" if isinstance(expr, Shift) and self.row < expr.rows else ""
+        if not isinstance(expr, Shift) or 0 <= self.row - expr.rows < self.judge.evaluator.rows.table.num_rows:
+            return ""
+        return f" (there is no such row {'before' if expr.rows > 0 else 'after'} it)"
 
     def none_of(self, parts: tuple[Expr, ...], is_wanted: bool) -> tuple[str, float]:
         """Why no part of a choice is as wanted."""
@@ -265,8 +267,8 @@ def _elsewhere(what: str, name: str, known: Sequence[Zone | Line], got: Any) -> 
 def _why_no_crossing(points: Any, step: Sequence[float], direction: str, unit: str) -> tuple[str, float]:
     (ax, ay), (bx, by) = points
     x0, y0, x1, y1 = step
-    columns = tuple(np.array([value]) for value in step)
-    if crosses_line(points, columns, "any")[0]:  # type: ignore[arg-type]
+    ends = (np.array([x0]), np.array([y0]), np.array([x1]), np.array([y1]))
+    if crosses_line(points, ends, "any")[0]:
         return f"the step crosses it the other way; wanted {direction.replace('_', ' ')}", 0.5
     before, after = ((bx - ax) * (y - ay) - (by - ay) * (x - ax) >= 0 for x, y in ((x0, y0), (x1, y1)))
     far = float(shapely.distance(shapely.LineString(points), shapely.LineString([(x0, y0), (x1, y1)])))

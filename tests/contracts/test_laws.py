@@ -34,7 +34,7 @@ class Model:
         return sum(len(ranges) for ranges in self.stored.values())
 
 
-@settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=12, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(calls=calls)
 def test_any_interleaving_of_appends_is_gapless_chained_and_projected(
     make_log: Callable[[], Log], calls: list[list[tuple[int, int, str]]]

@@ -1,10 +1,12 @@
 """Hypothesis strategies for events, derived from the types' definitions: a new type needs no line here.
 
 `events` and `batches` give whatever a model or a stored segment can hold; `lawful_batches` what the door lets in.
+Each is made once: Hypothesis checks a new strategy for longer than it draws from it.
 """
 
 import json
 from datetime import UTC, datetime, timedelta
+from functools import cache
 from types import NoneType
 from typing import Annotated, Any, Literal, get_args, get_origin
 
@@ -37,11 +39,13 @@ json_texts = st.recursive(
 ).map(json.dumps)
 
 
+@cache
 def events(event_type: type[EventType]) -> st.SearchStrategy[EventType]:
     """Any event of the type."""
     return _models(event_type)
 
 
+@cache
 def batches(event_type: type[EventType], min_size: int = 0) -> st.SearchStrategy[EventBatch]:
     """Any batch of the type whose floats are any bits at all, signalling NaN included."""
     rows = st.lists(events(event_type), min_size=min_size, max_size=6)
@@ -50,6 +54,7 @@ def batches(event_type: type[EventType], min_size: int = 0) -> st.SearchStrategy
     )
 
 
+@cache
 def lawful_batches(event_type: type[EventType]) -> st.SearchStrategy[EventBatch]:
     """Any batch of the type that may be appended."""
     rows = st.lists(_models(event_type, is_lawful=True), min_size=1, max_size=6)

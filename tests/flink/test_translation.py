@@ -36,6 +36,7 @@ from tests.patterns.samples import SCHEMAS, letter_rule
         (2_001_000, "INTERVAL '0 00:00:02.001' DAY(1) TO SECOND(3)"),
         (100 * 86_400_000_000 + 1_000, "INTERVAL '100 00:00:00.001' DAY(3) TO SECOND(3)"),
         (0, "INTERVAL '0 00:00:00.000' DAY(1) TO SECOND(3)"),
+        (1000 * 86_400_000_000, None),
         (1, None),
         (-1_000, None),
     ],

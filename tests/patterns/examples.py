@@ -14,5 +14,5 @@ _TIMEOUT_S = 600 * max(1, TOTAL // 2000)
 
 def examples(share: float) -> Callable[[Any], Any]:
     """The settings of a test that takes this share of the cases; a failure prints what repeats it."""
-    chosen = settings(max_examples=max(1, round(TOTAL * share)), deadline=None, print_blob=True)
+    chosen = settings(max_examples=max(1, round(TOTAL * share)))
     return lambda test: pytest.mark.timeout(_TIMEOUT_S)(chosen(test))

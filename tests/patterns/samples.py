@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime, timedelta
+from functools import cache
 from typing import Any
 
 import pyarrow as pa
@@ -135,6 +136,7 @@ def spans(matches: Sequence[Match]) -> list[tuple[int, int]]:
     return [(match.first.sequence, match.last.sequence) for match in matches]
 
 
+@cache
 def trees(variables: str, leaves: int = 5) -> st.SearchStrategy[Tree]:
     """Random patterns over these variables."""
     quantifiers = st.sampled_from([(0, None), (1, None), (0, 1), (2, 2), (1, 2), (2, None), (0, 2), (1, 3)])

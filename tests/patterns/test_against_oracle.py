@@ -1,5 +1,6 @@
 """Random whole clauses over random rows: the engine's answer is the oracle's, row for row."""
 
+from functools import cache
 from itertools import accumulate
 from typing import Any
 
@@ -23,6 +24,7 @@ ROWS_PER_MATCH = ["", "ONE ROW PER MATCH", "ALL ROWS PER MATCH", "ALL ROWS PER M
 QUANTIFIERS = [(0, None), (1, None), (0, 1), (2, 2), (1, 2), (2, None), (0, 2), (1, 3)]
 
 
+@cache
 def trees(names: str) -> st.SearchStrategy[Tree]:
     """Patterns with everything that the language has."""
     leaves = st.one_of(

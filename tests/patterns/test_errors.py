@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from patterns import NotSupportedYet, RuleError, bind, check, parse_rule
+from patterns import NotInRules, RuleError, bind, check, parse_rule
 from tests.patterns.samples import SCHEMAS
 
 HEAD = """\
@@ -42,7 +42,7 @@ def test_what_is_wrong_is_named_with_its_place(sql: str, wanted: str) -> None:
     shown, caret = error.excerpt.splitlines()
     assert shown.endswith(text.splitlines()[error.line - 1])
     assert len(caret) - 1 == shown.index("|") + 1 + error.column
-    assert isinstance(error, NotSupportedYet) == ("not supported yet" in error.message)
+    assert isinstance(error, NotInRules) == ("rules have no " in error.message)
 
 
 def test_check_gives_the_same_error_as_a_finding() -> None:

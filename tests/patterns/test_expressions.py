@@ -99,7 +99,7 @@ def conditions(draw: st.DrawFn, depth: int = 2) -> str:
                                  f"CASE WHEN {left} THEN {right} ELSE FALSE END"]))  # fmt: skip
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(
     sql=conditions(),
     cells=st.lists(

@@ -184,7 +184,7 @@ def both(rows: list[dict[str, Any]]) -> list[pa.Table]:
     return [points(run) if run[0]["type"] == "track_point" else letter_rows(run) for run in runs]
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(rows=mixed(), restarts=st.sets(st.integers(0, 8)))
 def test_arms_online_give_what_they_give_in_batch(rows: list[dict[str, Any]], restarts: set[int]) -> None:
     bound = bind(parse_rule(BOTH), PLATES)

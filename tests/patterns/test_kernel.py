@@ -100,7 +100,7 @@ def kernel() -> None:
 
 
 @pytest.mark.timeout(900)
-@settings(max_examples=EXAMPLES, deadline=None)
+@settings(max_examples=EXAMPLES)
 @given(
     data=st.data(), rows=records(), cuts=st.lists(st.integers(0, 100), max_size=4), seed=st.integers(0, 14),
     restarts=st.sets(st.integers(0, 4), max_size=2),
@@ -132,7 +132,7 @@ def test_the_kernel_finds_what_the_general_matcher_finds(
 
 
 @pytest.mark.timeout(900)
-@settings(max_examples=EXAMPLES, deadline=None)
+@settings(max_examples=EXAMPLES)
 @given(
     data=st.data(), rows=records(), cuts=st.lists(st.integers(0, 100), max_size=7), seed=st.integers(0, 14),
     groups=st.lists(st.integers(1, 4), min_size=8, max_size=8), is_late=st.booleans(),

@@ -107,6 +107,10 @@ def test_a_variable_that_is_never_taken_is_a_warning_where_the_rest_can_match() 
         ("PATTERN (B (C | A) D) WITHIN INTERVAL '1' SECOND DEFINE B AS n > 1, A AS n > 2, C AS n > 2 AND v > 1)", []),
         ("MEASURES C.n AS n\nPATTERN (B (A | C)) WITHIN INTERVAL '1' DAY DEFINE A AS n > 2, C AS n > 2 AND v > 1)", []),
         ("PATTERN (A B) WITHIN INTERVAL '1' SECOND DEFINE B AS TIMER(A.time, INTERVAL '2' SECOND))", ["within-timer"]),
+        ("PATTERN (A B) WITHIN INTERVAL '1' SECOND DEFINE B AS n < NEXT(n))", ["unbounded", "waits"]),
+        ("MEASURES MATCH_NUMBER() AS m\nPATTERN (A B) WITHIN INTERVAL '1' SECOND DEFINE B AS n > 1)", ["unbounded"]),
+        ("PATTERN (A B $) WITHIN INTERVAL '1' SECOND DEFINE B AS n > 1)", ["unbounded"]),
+        ("PATTERN (^ A B) WITHIN INTERVAL '1' SECOND DEFINE B AS n > 1)", ["unbounded"]),
     ],
 )  # fmt: skip
 def test_what_looks_wrong_is_named(clauses: str, wanted: list[str]) -> None:
@@ -185,3 +189,44 @@ def test_rules_of_one_name_and_rules_without_tests_are_named() -> None:
 
 def test_the_shipped_rules_have_no_findings_beside_each_other() -> None:
     assert [str(each) for each in lint(load_rules(FOLDER), SCHEMAS)] == []
+
+
+@pytest.mark.parametrize(
+    "skip,pattern,severity,said",
+    [
+        ("TO FIRST A", "A B", "error", "at every match A is the first row of the match"),
+        ("TO A", "A B*", "error", "at every match A is the first row"),
+        ("TO LAST A", "A+ B", "warning", "at some matches of PATTERN A is the first row"),
+        (
+            "TO FIRST A",
+            "A? B",
+            "error",
+            "at every match A is the first row of the match, and the search would find it for ever",
+        ),
+        ("TO B", "A B?", "warning", "at some matches of PATTERN B is not in the match"),
+        ("TO U", "(A B) | (C D)", "warning", "U is the first row"),
+    ],
+)
+def test_a_skip_that_has_no_row_to_go_to(skip: str, pattern: str, severity: str, said: str) -> None:
+    subset = "SUBSET U = (B, C)" if "U" in skip else ""
+    define = "DEFINE A AS n > 1, B AS n > 2"
+    clauses = f"AFTER MATCH SKIP {skip}\nPATTERN ({pattern}) WITHIN INTERVAL '1' SECOND {subset} {define})"
+    (finding,) = [each for each in check(rule(clauses), SCHEMAS) if each.code == "skip-nowhere"]
+    assert finding.severity == severity
+    assert said in finding.message
+    assert finding.place.line == 8
+
+
+@pytest.mark.parametrize("skip,pattern", [("TO B", "A B"), ("TO LAST A", "A A+ B"), ("TO NEXT ROW", "A B?")])
+def test_a_skip_that_always_goes_on_is_no_finding(skip: str, pattern: str) -> None:
+    define = "DEFINE A AS n > 1, B AS n > 2"
+    clauses = f"AFTER MATCH SKIP {skip}\nPATTERN ({pattern}) WITHIN INTERVAL '1' SECOND {define})"
+    assert "skip-nowhere" not in found(clauses)
+
+
+def test_a_measure_named_like_a_partition_column() -> None:
+    clauses = "MEASURES A.n AS n,\nA.key + 1 AS KEY\nPATTERN (A) WITHIN INTERVAL '1' SECOND DEFINE A AS n > 1)"
+    (finding,) = check(rule(clauses), SCHEMAS)
+    assert (finding.code, finding.severity) == ("same-column", "warning")
+    assert "the measure 'KEY' has the name of a partition column" in finding.message
+    assert (finding.place.line, finding.place.column) == (9, 18)

@@ -1,5 +1,6 @@
 """Online equals batch: in any split, with any restart, in any order of arrival within the lateness."""
 
+from datetime import datetime, timedelta
 from itertools import pairwise
 from typing import Any
 
@@ -7,9 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from patterns import BoundRule, Match, RuleRun, bind, match
+from patterns import BoundRule, Limits, Match, RuleRun, bind, match
 from tests.patterns.examples import examples
-from tests.patterns.samples import SCHEMAS, define_letters, letter_rows, letter_rule
+from tests.patterns.samples import BEGINNING, SCHEMAS, define_letters, letter_rows, letter_rule
 
 LATENESS_US = 4
 MORE = f"time: {{lateness: {LATENESS_US} us}}"
@@ -38,6 +39,39 @@ RULES = {
         more="time: {lateness: 4 us}\nemit: {once_per: [letter]}",
     ),
     "unpartitioned": letter_rule("A B", "A AS letter = 'a', B AS n > A.n", "B.n AS n", partition="", more=MORE),
+    "looking ahead": letter_rule("A", "A AS letter <> NEXT(letter)", "NEXT(A.letter, 2) AS after", more=MORE),
+    "rising next": letter_rule(
+        "A B* C", "A AS letter = 'a', B AS letter <> NEXT(letter), C AS letter = 'c' OR C.n < NEXT(A.n)",
+        "NEXT(B.n) AS after, NEXT(FIRST(B.n), 2) AS later", skip="TO NEXT ROW", more=MORE,
+    ),
+    "ahead in a window": letter_rule(
+        "A X*? B", "A AS letter = 'a', B AS letter = 'b' AND NEXT(letter, 2) <> 'a'",
+        "NEXT(B.n) AS n, PREV(A.n) AS before", within="INTERVAL '6' MICROSECOND", more=MORE,
+    ),
+    "window of those ahead": letter_rule(
+        "A B*", "A AS letter = 'a' AND NEXT(n) > 0, B AS NEXT(B.n) >= 0", "COUNT(B.*) AS many",
+        within="INTERVAL '4' MICROSECOND", skip="TO NEXT ROW", more=MORE,
+    ),
+    "ahead of a timer": letter_rule(
+        "A X*? (B | T)", "A AS letter = 'a', X AS NEXT(n) <> 2, B AS letter = 'b' AND NEXT(letter) = 'b', "
+        "T AS TIMER(A.time, INTERVAL '3' MICROSECOND)", "T.time AS due, NEXT(X.n) AS n", more=MORE,
+    ),
+    "the last in a window": letter_rule(
+        "A B* $ | A B{1,2}?", "A AS letter = 'a', B AS letter <> 'c'", "COUNT(B.*) AS many",
+        within="INTERVAL '5' MICROSECOND", skip="TO NEXT ROW", more=MORE,
+    ),
+    "the last or one of those ahead": letter_rule(
+        "A B* $ | A B", "A AS letter = 'a', B AS NEXT(letter) <> 'c' OR NEXT(letter) IS NULL", "LAST(B.n) AS n",
+        within="INTERVAL '5' MICROSECOND", more=MORE,
+    ),
+    "numbered": letter_rule(
+        "A B?", "A AS letter = 'a', B AS letter = 'b'", "MATCH_NUMBER() AS number, FIRST(n + MATCH_NUMBER()) AS sum",
+        more=MORE,
+    ),
+    "numbered with empty ones": letter_rule(
+        "(A B?)?", "A AS letter = 'a', B AS letter = 'b' AND NEXT(n) > 0", "MATCH_NUMBER() AS number",
+        skip="TO NEXT ROW", within="INTERVAL '5' MICROSECOND", more=MORE,
+    ),
     "filtered": letter_rule("A B", "B AS n > PREV(n)", "B.n AS n", more=MORE),
 }  # fmt: skip
 
@@ -230,6 +264,67 @@ def test_a_row_before_the_match_is_remembered_for_prev() -> None:
     for second, n in enumerate([1, 2, 2, 3, 0]):
         found += [match.first.sequence for match in _push(run, {**_row(second), "n": n})]
     assert found == [1, 3]
+
+
+def test_a_row_waits_for_the_row_that_it_looks_ahead_to_and_what_it_decides_is_decided_by_that() -> None:
+    rule = letter_rule("A", "A AS letter = 'a' AND n < NEXT(n)", "NEXT(n) AS after", more="time: {lateness: 0 s}")
+    run = RuleRun(bind(rule, SCHEMAS))
+    assert _push(run, {**_row(0, "a"), "n": 1}, {**_row(1, "b", sequence=7), "key": 1}) == []
+    assert (run.rows_waiting, run.partitions_open) == (1, 1), "the first is final, and its partition has no other"
+    assert _push(run, {**_row(30, "c"), "n": 4}) == []
+    (found,) = _push(run, _row(31, "c"))
+    assert (found.first.sequence, found.measures, found.decided_at) == (0, {"after": 4}, _time(30))
+    assert run.partitions_open == 0, "no row of another letter has to wait"
+
+
+def test_a_row_that_no_variable_with_next_could_take_does_not_wait() -> None:
+    rule = letter_rule("A B", "A AS letter = 'a', B AS letter = 'b' AND NEXT(n) > 0", more="time: {lateness: 0 s}")
+    run = RuleRun(bind(rule, SCHEMAS))
+    for second in range(20):
+        _push(run, _row(second, "c", key=second))
+    assert run.partitions_open == 0
+
+
+def test_a_window_that_is_over_waits_for_the_row_before_its_end_that_waits_itself() -> None:
+    rule = letter_rule(
+        "A B*", "A AS letter = 'a', B AS NEXT(letter) = 'b'", "COUNT(*) AS many",
+        within="INTERVAL '5' SECOND", more="time: {lateness: 0 s}",
+    )  # fmt: skip
+    run = RuleRun(bind(rule, SCHEMAS))
+    assert _push(run, _row(0, "a"), _row(2, "c")) == []
+    assert _push(run, _row(50, "c", key=1, sequence=9)) == [], "the row of 2 s may be a B yet"
+    (found,) = _push(run, _row(60, "b"), _row(61, "c", key=1, sequence=10))
+    assert (found.measures, found.decided_at) == ({"many": 2}, _time(60))
+
+
+def test_the_row_after_a_window_says_that_the_one_before_was_not_the_last() -> None:
+    rule = letter_rule(
+        "A B* $ | A", "A AS letter = 'a', B AS letter = 'b'", "COUNT(*) AS many",
+        within="INTERVAL '5' SECOND", more="time: {lateness: 0 s}",
+    )  # fmt: skip
+    run = RuleRun(bind(rule, SCHEMAS))
+    rows = [_row(0, "a"), _row(1, "b"), _row(20, "a"), _row(21, "b")]
+    assert _push(run, *rows[:2], _row(10, "c", key=1, sequence=9)) == [], "nothing says that it ended there"
+    (first,) = _push(run, *rows[2:], _row(90, "c", key=1, sequence=10))
+    assert (first.measures, first.decided_at) == ({"many": 1}, _time(20))
+    (last,) = run.finish().matches
+    assert (last.measures, last.decided_at) == ({"many": 2}, None)
+
+
+def test_matches_are_numbered_until_their_partition_is_given_up() -> None:
+    bound = bind(letter_rule("A", "A AS letter = 'a'", "MATCH_NUMBER() AS n", more="time: {lateness: 0 s}"), SCHEMAS,
+                 limits=Limits(expiry=timedelta(seconds=16)))  # fmt: skip
+    run, found = RuleRun(bound), []
+    for second in (0, 1, 2, 3, 60, 61, 62):
+        found += [match.measures["n"] for match in _push(run, _row(second, "a"))]
+        state = run.state()
+        run = RuleRun(bound)
+        run.restore(state)
+    assert found == [1, 2, 3, 4, 1, 2]
+
+
+def _time(second: float) -> datetime:
+    return BEGINNING + timedelta(seconds=second)
 
 
 def test_matches_leave_in_the_order_in_which_they_were_decided() -> None:

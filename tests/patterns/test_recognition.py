@@ -196,7 +196,13 @@ def test_where_the_search_goes_on(skip: str, starts: list[int]) -> None:
     assert recognised(clause, rows).column("start").to_pylist() == starts
 
 
-@pytest.mark.parametrize("skip,message", [("TO A", "first row of the match"), ("TO D", "not in the match")])
+@pytest.mark.parametrize(
+    "skip,message",
+    [
+        ("TO A", "AFTER MATCH SKIP TO LAST A: A is the first row of the match from id 1 to id 2, so the search"),
+        ("TO FIRST D", "AFTER MATCH SKIP TO FIRST D: D is not in the match from id 1 to id 2. Next: skip to"),
+    ],
+)
 def test_a_skip_to_nowhere_is_an_error(skip: str, message: str) -> None:
     clause = f"ORDER BY id MEASURES 1 AS m AFTER MATCH SKIP {skip} PATTERN (A B D?) DEFINE D AS false"
     with pytest.raises(SkipError, match=message):
@@ -209,8 +215,18 @@ def test_the_number_of_the_match_can_decide_about_its_rows() -> None:
     assert [label for _, _, label in _labels("(A | B)*", define, rows)] == list("BBBBA")
     clause = "ORDER BY id MEASURES MATCH_NUMBER() AS m PATTERN (A) DEFINE A AS MATCH_NUMBER() < 3"
     assert recognised(clause, rows).column("m").to_pylist() == [1, 2]
-    with pytest.raises(LimitError, match="the limit `steps` is 3"):
-        recognised(clause, rows, limits=Limits(steps=3))
+
+
+def test_a_search_start_by_start_ends_with_its_limit_named() -> None:
+    rows = ", ".join(f"({at}, {at % 3})" for at in range(300))
+    short = "ORDER BY id MEASURES MATCH_NUMBER() AS m PATTERN (A B) DEFINE A AS value = 0 AND MATCH_NUMBER() < 300"
+    assert recognised(short, rows, limits=Limits(steps=1)).num_rows == 100, "what looks at few rows a start may go on"
+    ahead = "ORDER BY id MEASURES 1 AS m PATTERN (A+ B) DEFINE A AS MATCH_NUMBER() < 3, B AS value > 5"
+    wanted = r"3,\d+ steps so far over 300 rows, and the limit `steps` is 3,000. Next: ask for the number in MEASURES"
+    with pytest.raises(LimitError, match=wanted):
+        recognised(ahead, rows, limits=Limits(steps=1))
+    with pytest.raises(LimitError, match="the limit `steps` is 20,000"):
+        recognised(ahead, rows, limits=Limits(steps=20_000))
 
 
 def test_columns_and_their_order() -> None:

@@ -85,6 +85,8 @@ def test_a_rule_file_says_all_of_it() -> None:
         ("{subject}", "{n:c}", "3:9", "title: %c arg not in range"),
         ("version: 3", "version: 3\nversion: 4", "3:1", "the key 'version' stands twice"),
         ("version: 3", "version: [3", "3:6", "not YAML"),
+        ("version: 3", "version: 3: 4", "2:11", "or has a colon in it, in quotes"),
+        ("version: 3", "version: {n} m", "2:14", "put a text that begins with {"),
         ("version: 3", "version: !!python/none 3", "2:10", "not a YAML value"),
         ("version: 3", "version: 2026-99-99", "1:1", "not a YAML value"),
         ("version: 3", "version: \x01", "2:1", "not YAML: special characters are not allowed"),
@@ -100,6 +102,12 @@ def test_what_is_wrong_is_named_with_its_place(old: str, new: str, place: str, m
     assert message in error.message
     assert f"{error.line}:{error.column}" == place
     assert error.file == "yard.yaml"
+
+
+def test_a_quoted_text_that_is_not_closed() -> None:
+    error = _error('rule: sample\nversion: "1\ntitle: one\n')
+    assert (error.line, error.column) == (2, 10)
+    assert error.message == "not YAML: this quoted text is not closed"
 
 
 @pytest.mark.parametrize("text", ["", "# nothing\n", "- a\n- b\n", "rule\n"])

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from patterns import BoundRule, Match, Outcome, PatternError, RuleRun, RuleSetRun, SkipError, bind
+from patterns import BoundRule, Match, Outcome, PatternError, RuleRun, RuleSetRun, SkipError, bind, match
 from patterns.engine.compiling import compile_kernel
 from patterns.engine.ruleset import Outcomes, merged
 from tests.patterns.samples import SCHEMAS, define_letters, letter_rows, letter_rule, letters
@@ -30,7 +30,7 @@ def _alone(bound: BoundRule, parts: list[list[Record]]) -> Outcome:
     return whole + run.finish()
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(rows=records(), cuts=st.lists(st.integers(0, 100), max_size=5), restarts=st.sets(st.integers(0, 5)))
 def test_a_set_gives_for_each_rule_what_it_gives_alone(rows: list[Record], cuts: list[int], restarts: set[int]) -> None:
     arriving = sorted(rows, key=lambda row: row["us"] + row["delay"])
@@ -51,7 +51,7 @@ def test_a_set_gives_for_each_rule_what_it_gives_alone(rows: list[Record], cuts:
         assert found.get(bound.rule.rule, Outcome()) == _alone(bound, parts), bound.rule.rule
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(rows=records(), came=st.integers(0, 3), went=st.integers(0, 3))
 def test_rules_that_come_and_go_change_nothing_for_the_others(rows: list[Record], came: int, went: int) -> None:
     parts = pieces(rows, [len(rows) // 4, len(rows) // 2, len(rows) * 3 // 4])
@@ -85,6 +85,20 @@ def test_a_rule_that_raises_is_set_aside_and_named_and_the_others_go_on() -> Non
     assert len(_matches(found, BOUNDS[0])) > 0
     group.add(FAILING)
     assert group.failures == {}, "a rule that comes back is tried anew"
+
+
+@pytest.mark.parametrize("skip", ["TO LAST B", "TO FIRST A"])
+@pytest.mark.parametrize("uses_kernel", [True, False])
+def test_a_skip_to_nowhere_names_the_match_on_either_road(skip: str, uses_kernel: bool) -> None:
+    failing = bind(letter_rule("A B? C", define_letters("ABC"), skip=skip), SCHEMAS)
+    rows = letters("bac" if skip == "TO LAST B" else "babc")
+    with pytest.raises(SkipError) as alone:
+        match(failing, rows)
+    group = RuleSetRun([failing], uses_kernel=uses_kernel)
+    group.push(rows)
+    group.finish()
+    assert str(group.failures["sample"]) == str(alone.value)
+    assert "match from 2026-01-01T10:00:01Z (sequence 1) to 2026-01-01T10:00:0" in str(alone.value)
 
 
 def test_a_rule_that_comes_later_knows_the_frame_sizes() -> None:

@@ -449,6 +449,10 @@ def test_reports_say_how_each_version_stands(log: Log) -> None:
     }  # fmt: skip
     assert by_key["enters", 1].counts["matches"] == 8
     assert by_key["enters", 1].lag > by_key["enters", 2].lag == 0
+    first_us = by_key["shadowed", 1].counts["event_us"]
+    assert first_us > 0, "what few events cost is told, too"
+    assert Processor(log, STATION).catch_up() is not None
+    assert {each.service.key: each for each in reports(log, STATION)}["shadowed", 1].counts["event_us"] > 0
     processor.catch_up()
     assert [each.state for each in reports(log, STATION)] == ["retired", "shadow", "runs"]
 

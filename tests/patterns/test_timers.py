@@ -84,7 +84,7 @@ def records(draw: st.DrawFn) -> list[dict[str, Any]]:
     return sorted(rows, key=lambda row: (row["us"], row["source"], row["sequence"]))
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(rows=records(), after_a=st.integers(1, 5), after_b=st.integers(1, 5))
 @pytest.mark.parametrize("name", PATTERNS)
 def test_the_engine_finds_what_the_definition_finds(
@@ -109,7 +109,7 @@ def _us(time: Any) -> int:
     return (time - BEGINNING) // (time - time).resolution
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(
     rows=records(), cuts=st.lists(st.integers(0, 100), max_size=6), restarts=st.sets(st.integers(0, 6)),
     is_shuffled=st.booleans(), after_a=st.integers(1, 5),

@@ -114,9 +114,7 @@ def test_any_order_of_faults_and_kills_converges(make_log: Callable[[], Log], se
 
     run_state_machine_as_test(
         machine,
-        settings=settings(
-            max_examples=EXAMPLES, stateful_step_count=25, deadline=None, suppress_health_check=list(HealthCheck)
-        ),
+        settings=settings(max_examples=EXAMPLES, stateful_step_count=25, suppress_health_check=list(HealthCheck)),
     )
 
     assert verify(logs[1]).is_sound

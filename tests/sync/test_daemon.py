@@ -119,12 +119,12 @@ def test_the_bell_rings_for_what_came_since_it_was_armed(station_log: Log) -> No
     bell, never = Bell(station_log, BRNO), threading.Event()
     bell.arm()
     append_points(station_log, stream_of(), [1])
-    bell.wait(3600, never)  # returns: nothing between looking and sleeping is missed
+    assert bell.wait(3600, never), "nothing between looking and sleeping is missed"
     bell.arm()
-    bell.wait(0, never)
+    assert not bell.wait(0, never)
     stop = threading.Event()
     stop.set()
-    bell.wait(3600, stop)
+    assert not bell.wait(3600, stop)
     bell.close()
 
 
@@ -132,9 +132,9 @@ def test_the_bell_of_a_log_that_is_away_does_not_hold_the_daemon_up(station_log:
     bell, never = Bell(station_log, BRNO), threading.Event()
     bell.arm()
     station_log.close()
-    bell.wait(3600, never)
+    assert not bell.wait(3600, never)
     bell.arm()
-    bell.wait(3600, never)
+    assert not bell.wait(3600, never)
     bell.close()
 
 

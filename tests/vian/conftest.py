@@ -58,17 +58,18 @@ def _is_logger(each: Any) -> bool:
     return isinstance(each, logging.Logger)
 
 
+def command_line(*arguments: object, typed: str | None = None) -> Ran:
+    """Run the command line in this process."""
+    result = CliRunner().invoke(app, [str(each) for each in arguments], input=typed)
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    return Ran(result.exit_code, result.stdout, result.stderr)
+
+
 @pytest.fixture
 def run() -> Run:
-    """Runs the command line in this process."""
-
-    def invoke(*arguments: object, typed: str | None = None) -> Ran:
-        result = CliRunner().invoke(app, [str(each) for each in arguments], input=typed)
-        if result.exception is not None and not isinstance(result.exception, SystemExit):
-            raise result.exception
-        return Ran(result.exit_code, result.stdout, result.stderr)
-
-    return invoke
+    """Runs the command line in this process, in this test's environment."""
+    return command_line
 
 
 @pytest.fixture

@@ -12,7 +12,7 @@ import pyarrow as pa
 import pyarrow.csv
 import typer
 
-from events import SituationDetected, SituationShadowed, decode, events_of
+from events import EventType, SituationDetected, SituationShadowed, decode, events_of
 from patterns.binding.binder import bind
 from patterns.binding.bound import BoundRule
 from patterns.engine.situations import Match
@@ -139,7 +139,7 @@ def _source(match: Match) -> str:
 
 def _recorded(log: Log, rule: Rule) -> dict[str, str]:
     """How the situations of the rule that the log has were recorded, by identity."""
-    how = {SituationDetected: "yes", SituationShadowed: "in shadow"}
+    how: dict[type[EventType], str] = {SituationDetected: "yes", SituationShadowed: "in shadow"}
     return {
         event.situation: how[type(event)]
         for segment in log.read_all(types=[each.type_name for each in how])

@@ -1,7 +1,7 @@
 """`vian zones`: zones, lines and calibrations that rules share, each change an event of its source."""
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, get_args
 
 import typer
 from pydantic import TypeAdapter, ValidationError
@@ -191,7 +191,7 @@ def _shape(name: str, source: str, zone: str | None, line: str | None, units: st
         raise WrongUsage(f"NAME is 1 to 64 of A-Z a-z 0-9 . _ -, got {name!r}") from error
     if (zone is None) == (line is None):
         raise WrongUsage(f"give either --zone or --line, got {'neither' if zone is None else 'both'}")
-    if units not in Units.__args__:  # type: ignore[attr-defined]
+    if units not in get_args(Units):
         raise WrongUsage(f"--units must be normalised, pixels or metres, got {units!r}")
     option, text = ("--zone", zone) if zone is not None else ("--line", line)
     points = parsed_points(option, str(text))

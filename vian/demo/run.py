@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from time import monotonic
 
@@ -200,7 +201,11 @@ def _converge(
     _wait(parts, "the central log has not all events", is_replicated)
     for projector, log in zip(projectors, (station, central), strict=True):
         head = log.head()
-        _wait(parts, "the row tables are behind", lambda p=projector, h=head: p.position >= h)  # type: ignore[misc]
+        _wait(parts, "the row tables are behind", partial(_has_reached, projector, head))
+
+
+def _has_reached(projector: Projector, head: int) -> bool:
+    return projector.position >= head
 
 
 def _wait(parts: Parts, what: str, is_done: Callable[[], bool]) -> None:

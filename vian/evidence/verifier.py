@@ -30,7 +30,7 @@ try:
     from cryptography.exceptions import InvalidSignature
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 except ImportError:
-    Ed25519PublicKey = None  # type: ignore[assignment,misc]
+    Ed25519PublicKey = None  # type: ignore[assignment,misc]  # not installed: asked for before use
 
 Said = dict[str, Any]
 Order = dict[int, tuple[int, bytes]]

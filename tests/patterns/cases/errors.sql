@@ -294,7 +294,7 @@ SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES ▸MATCH_NUMBER(1) AS m PA
 --- error MATCH_NUMBER
 
 --- case a group that is not closed
-SELECT * FROM t MATCH_RECOGNIZE ▸(ORDER BY id PATTERN (A (B) DEFINE A AS x = 'a')
+SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id PATTERN ▸(A (B) DEFINE A AS x = 'a')
 --- error not closed
 
 --- case a quantifier without anything before it
@@ -411,6 +411,118 @@ SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES (SELECT ▸A.id) AS i PATT
 SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES (SELECT ▸id FROM t) AS i PATTERN (A))
 --- error More than one row
 
---- case a list in measures that a sub-query makes
-SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES ▸id IN (SELECT 1) AS i PATTERN (A))
+--- case a comparison in measures with all that a sub-query gives
+SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES id = ANY (SELECT ▸1) AS i PATTERN (A))
 --- error sub-query
+
+--- case a parenthesis of PATTERN that is not closed
+SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES id AS i PATTERN ▸(A (B C) DEFINE A AS x = 'a')
+--- error PATTERN: this parenthesis is not closed
+
+--- case a parenthesis of DEFINE that is not closed
+SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES id AS i PATTERN (A B) DEFINE A AS ▸(A.x = 'a', B AS x = 'b')
+--- error DEFINE: this parenthesis is not closed
+
+--- case a parenthesis of MEASURES that is not closed
+SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES count▸(A.x AS i PATTERN (A B))
+--- error MEASURES: this parenthesis is not closed
+
+--- case no comma between measures
+SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES A.x AS i ▸B.x AS j PATTERN (A B))
+--- error MEASURES: wanted ',' or the next clause, got B
+
+--- case no comma between definitions
+SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES A.x AS i PATTERN (A B) DEFINE A AS x = 'a' ▸B AS x = 'b')
+--- error DEFINE: wanted ',' before B AS
+
+--- case a measure without its name
+SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES A.x AS ▸ONE ROW PER MATCH PATTERN (A B))
+--- error MEASURES: wanted the measure's name, got ONE
+
+--- case a definition with = for AS
+SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES A.x AS i PATTERN (A) DEFINE A ▸= x > 1)
+--- error DEFINE A: wanted AS, got =
+
+--- case PATTERN without parentheses
+SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES A.x AS i PATTERN ▸A B)
+--- error wanted ( around the pattern, got A
+
+--- case nothing behind a comma of MEASURES
+SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES A.x AS i▸, PATTERN (A))
+--- error MEASURES: nothing follows this comma
+
+--- case nothing behind a comma of PARTITION BY
+SELECT * FROM t MATCH_RECOGNIZE (PARTITION BY x▸, ORDER BY id PATTERN (A))
+--- error PARTITION BY: nothing follows this comma
+
+--- case nothing behind a comma of DEFINE
+SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES A.x AS i PATTERN (A) DEFINE A AS x = 'a'▸,)
+--- error DEFINE: nothing follows this comma
+
+--- case a semicolon inside
+SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES A.x AS i PATTERN (A) DEFINE A AS x = 'a'▸;)
+--- error DEFINE: a semicolon must not stand inside MATCH_RECOGNIZE
+
+--- case an operator without its right side
+SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES A.x AS i PATTERN (A) DEFINE A AS x = 'a' ▸AND)
+--- error DEFINE: something is missing near AND
+
+--- case the clause that was meant
+SELECT * FROM t MATCH_RECOGNIZE (▸PARTITIONED BY x ORDER BY id PATTERN (A))
+--- error did you mean PARTITION BY?
+
+--- case the clause that was meant, after others
+SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES A.x AS i ▸AFTR MATCH SKIP PAST LAST ROW PATTERN (A))
+--- error did you mean AFTER MATCH SKIP?
+
+--- case the clause that was meant, behind PATTERN
+SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES A.x AS i PATTERN (A) ▸DEFINES A AS x = 'a')
+--- error did you mean DEFINE?
+
+--- case a clause too early
+SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES A.x AS i ▸DEFINE A AS x = 'a' PATTERN (A))
+--- error DEFINE comes behind PATTERN
+
+--- case a clause too late
+SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id ▸PARTITION BY x MEASURES A.x AS i PATTERN (A))
+--- error PARTITION stands too late or twice
+
+--- case NEXT ROWS
+SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES A.x AS i AFTER MATCH SKIP TO NEXT ▸ROWS PATTERN (A))
+--- error wanted ROW, got ROWS
+
+--- case NEXT without ROW
+SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES A.x AS i AFTER MATCH SKIP TO ▸NEXT PATTERN (A))
+--- error did you mean TO NEXT ROW?
+
+--- case FIRST without a variable
+SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES A.x AS i AFTER MATCH SKIP TO ▸FIRST PATTERN (A))
+--- error TO FIRST wants a variable behind it
+
+--- case the column that was meant
+SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES A.x AS i PATTERN (A) DEFINE A AS ▸A.xx = 'a')
+--- error did you mean 'x'?
+
+--- case the function that was meant
+SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES A.x AS i PATTERN (A) DEFINE A AS ▸PRV(A.x) = 'a')
+--- error did you mean 'PREV'?
+
+--- case MATCH_RECOGNIZE misspelt
+SELECT * FROM t MATCH_RECOGNISE (▸ORDER BY id MEASURES A.x AS i PATTERN (A))
+--- error MATCH_RECOGNISE: did you mean MATCH_RECOGNIZE?
+
+--- case MATCH_RECOGNIZE without a parenthesis
+SELECT * FROM t MATCH_RECOGNIZE ORDER BY id ▸PATTERN (A)
+--- error MATCH_RECOGNIZE wants a parenthesis behind it, got ORDER
+
+--- case IN over a sub-query of two columns
+SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES A.x IN (SELECT ▸id, x FROM t) AS i PATTERN (A))
+--- error MEASURES: the sub-query of IN gives one column, got 2
+
+--- case IN over a sub-query that sees the match
+SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES A.x IN (SELECT ▸x FROM t WHERE id = A.id) AS i PATTERN (A))
+--- error Referenced table "A" not found
+
+--- case a sub-query in DEFINE
+SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES id AS i PATTERN (A) DEFINE A AS ▸A.x IN (SELECT x FROM t))
+--- error but in MEASURES as a value, in EXISTS or behind IN

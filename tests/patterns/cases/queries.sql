@@ -365,3 +365,22 @@ SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES LAST(A.id + (SELECT max(id
 --- wanted
 l  | n    | e    | z        | d date[]
 32 | NULL | true | [az, az] | [2026-01-02]
+
+--- case IN over a sub-query, with SQL's NULL
+SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES A.x IN (SELECT v FROM w) AS i, A.x NOT IN (SELECT v FROM w) AS o,
+  A.x IN (SELECT v FROM n) AS n, A.x NOT IN (SELECT v FROM w WHERE false) AS e PATTERN (A))
+--- letters t ab-c
+--- table w
+v varchar
+a
+c
+--- table n
+v varchar
+a
+NULL
+--- wanted
+i | o | n | e
+true   | false  | true   | true
+false  | true   | NULL   | true
+NULL   | NULL   | NULL   | true
+true   | false  | NULL   | true

@@ -28,6 +28,20 @@ def test_case_files(stage: Stage, index: int) -> None:
     assert result.passed, f"{result.name}\n{result.difference}"
 
 
+@pytest.mark.parametrize(
+    "row,message",
+    [
+        ("{time: 2026-01-01T10:00:00Z, trak_id: 1}", "row 1: unknown column 'trak_id'; there are: .*mean 'track_id'"),
+        ("{time: 2026-01-01T10:00:00Z, track_id: one}", "row 1, column track_id: wanted a whole number, got 'one'"),
+        ("{track_id: 1}", "row 1: it has no `time`"),
+    ],
+)
+def test_rows_of_a_test_that_are_not_right(row: str, message: str) -> None:
+    text = f"stage: a\nversion: 1\npair_distance: {{radius_px: 3}}\ntests:\n  - given: [{row}]\n    expect: []\n"
+    with pytest.raises(RuleError, match=message):
+        run_stage_tests(parse_stage(text))
+
+
 HEAD = "stage: a\nversion: 1\n"
 MORE = "stage: sample\nversion: 1\ntime: {lateness: 4 us}\n"
 SAMPLES = {
@@ -88,7 +102,7 @@ def said(derived: Any) -> list[tuple[str, dict[str, Any]]]:
     return [(each.source, dict(event)) for each in derived for event in events_of(each.batch)]
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     records=points(), cuts=st.lists(st.integers(0, 100), max_size=5), restarts=st.sets(st.integers(0, 5)),
     is_shuffled=st.booleans(),
