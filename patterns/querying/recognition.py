@@ -48,7 +48,11 @@ _STEPS_A_ROW = 10
 
 
 def recognise(
-    clause: Clause, table: pa.Table, params: Mapping[str, Any] | None = None, limits: Limits | None = None
+    clause: Clause,
+    table: pa.Table,
+    params: Mapping[str, Any] | None = None,
+    limits: Limits | None = None,
+    ambiguous: Mapping[str, str] | None = None,
 ) -> pa.Table:
     """What the clause gives for the table.
 
@@ -61,6 +65,8 @@ def recognise(
         table: The rows.
         params: Values of `$name` and `:name`.
         limits: What the clause may use.
+        ambiguous: Names of columns, in lower case, that the clause must not say, as several tables of its input have
+            them; and which these are.
 
     Raises:
         RuleError: The clause is not right: a name that is not there, an expression that DuckDB does not take.
@@ -71,7 +77,7 @@ def recognise(
     limits = limits or Limits()
     duck = Duck(limits.questions)
     try:
-        return _Recognition(duck, clause, table, dict(params or {}), limits).result()
+        return _Recognition(duck, clause, table, dict(params or {}), limits, ambiguous or {}).result()
     finally:
         duck.close()
 
@@ -105,12 +111,20 @@ class _Output:
 class _Recognition:
     """One clause over one table; the steps in the order in which `result` takes them."""
 
-    def __init__(self, duck: Duck, clause: Clause, table: pa.Table, params: Mapping[str, Any], limits: Limits) -> None:
+    def __init__(
+        self,
+        duck: Duck,
+        clause: Clause,
+        table: pa.Table,
+        params: Mapping[str, Any],
+        limits: Limits,
+        ambiguous: Mapping[str, str],
+    ) -> None:
         self.clause = clause
         self.duck = duck
         self.table = table
         self.limits = limits
-        self.symbols = Symbols.of(clause, duck, duck.column_types(table), params)
+        self.symbols = Symbols.of(clause, duck, duck.column_types(table), params, ambiguous)
         self.computed: dict[str, str] = {}
 
     def result(self) -> pa.Table:

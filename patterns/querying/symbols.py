@@ -49,6 +49,7 @@ class Symbols:
         variables: The pattern's variables, by index.
         frames: What each variable and each SUBSET stands for.
         params: Values of parameters, by name.
+        ambiguous: Names that several columns of the input had, in lower case, and which.
     """
 
     clause: Clause
@@ -58,9 +59,17 @@ class Symbols:
     variables: tuple[str, ...]
     frames: Mapping[str, tuple[str, ...]]
     params: Mapping[str, Any]
+    ambiguous: Mapping[str, str]
 
     @classmethod
-    def of(cls, clause: Clause, duck: Duck, types: Mapping[str, str], params: Mapping[str, Any]) -> "Symbols":
+    def of(
+        cls,
+        clause: Clause,
+        duck: Duck,
+        types: Mapping[str, str],
+        params: Mapping[str, Any],
+        ambiguous: Mapping[str, str] | None = None,
+    ) -> "Symbols":
         """The symbols of a clause over an input of these columns and types.
 
         Raises:
@@ -69,7 +78,7 @@ class Symbols:
         columns = {name.lower(): name for name in types}
         frames = frames_of(clause)
         variables = tuple(dict.fromkeys(name.key for name in pattern_variables(clause.pattern)))
-        return cls(clause, duck, columns, types, variables, frames, params)
+        return cls(clause, duck, columns, types, variables, frames, params, ambiguous or {})
 
     def index(self, variable: str) -> int:
         """The variable's index."""
@@ -90,6 +99,7 @@ class Symbols:
         Raises:
             RuleError: There is none.
         """
+        self._check_one(identifier.name, clause, identifier.at)
         found = self.columns.get(identifier.name.lower())
         if found is None:
             have = ", ".join(self.types) + did_you_mean(identifier.name, self.types)
@@ -146,9 +156,10 @@ class Symbols:
         parts = column_parts(column)
         if len(parts) > 1 and (identifier_key(parts[0]) in self.frames or self._is_source(parts[0])):
             parts = parts[1:]
+        at = offset_of(column, at)
+        self._check_one(parts[0].name, clause, at)
         name = self.columns.get(parts[0].name.lower())
         if name is None:
-            at = offset_of(column, at)
             if len(parts) > 1:
                 have = (", ".join(self.frames) or "none") + did_you_mean(parts[0].name, self.frames)
                 message = f"{clause}: unknown pattern variable {parts[0].name!r}; there are: {have}"
@@ -160,6 +171,17 @@ class Symbols:
         for field in parts[1:]:
             found = exp.Dot(this=found, expression=exp.to_identifier(field.name, quoted=True))
         return found
+
+    def _check_one(self, name: str, clause: str, at: int) -> None:
+        """Checks that one column of the input bears the name.
+
+        Raises:
+            RuleError: Several do.
+        """
+        where = self.ambiguous.get(name.lower())
+        if where is not None:
+            message = f"{clause}: {name!r} is ambiguous, as the input has it twice: {where}"
+            raise self.clause.passage.error(f"{message}. Next: give one of them another name, in a sub-query", at)
 
     def _is_source(self, identifier: exp.Expr) -> bool:
         """Whether this is the input's name, which no variable has."""
