@@ -11,7 +11,6 @@ q | 7 | out | 890.00 | 2026-01-03 09:01:00
 --- case money that comes in and goes out again within a day
 SELECT * FROM a MATCH_RECOGNIZE (PARTITION BY acc ORDER BY at
   MEASURES I.amount AS got, SUM(O.amount) AS gone, LAST(O.at) - I.at AS took, FINAL COUNT(O.*) AS n
-
   AFTER MATCH SKIP PAST LAST ROW
   PATTERN (I O+)
   DEFINE I AS kind = 'in' AND amount >= 500, O AS kind = 'out' AND O.at - I.at < INTERVAL '1' DAY AND SUM(O.amount) <= I.amount)
@@ -21,7 +20,6 @@ p | 900.00 | 880.00 | 00:20:00 | 2
 
 --- case what has gone out when nine tenths are gone
 SELECT acc, gone FROM a MATCH_RECOGNIZE (PARTITION BY acc ORDER BY at MEASURES SUM(O.amount) AS gone
-
   PATTERN (I O* L) SUBSET X = (O, L)
   DEFINE I AS kind = 'in' AND amount >= 500, O AS kind = 'out', L AS kind = 'out' AND SUM(X.amount) >= 0.9 * I.amount) ORDER BY acc
 --- wanted
