@@ -158,8 +158,7 @@ def test_rules_go_on_from_matcher_to_kernel_and_back(
             assert found.get(bound.rule.rule, Outcome()) == wanted, bound.rule.rule
 
 
-@pytest.mark.timeout(900)
-@settings(max_examples=EXAMPLES)
+@examples(0.075)
 @given(
     data=st.data(), rows=records(), cuts=st.lists(st.integers(0, 100), max_size=7), seed=st.integers(0, 14),
     groups=st.lists(st.integers(1, 4), min_size=8, max_size=8), is_late=st.booleans(),
