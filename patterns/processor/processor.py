@@ -512,6 +512,7 @@ class Processor:
                 self._set_aside(member.service, member.failure)
         if is_saving:
             self._plan_save(work.rules)
+            work.rules.use_kernel()
         return situations
 
 

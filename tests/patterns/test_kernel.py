@@ -1,11 +1,10 @@
 """The compiled kernel and the general matcher agree: random rules, random rows, random splits."""
 
-import os
 from itertools import accumulate
 from typing import Any
 
 import pytest
-from hypothesis import assume, given, note, settings
+from hypothesis import assume, given, note
 from hypothesis import strategies as st
 
 from patterns import Outcome, PatternError, RuleRun, RuleSetRun
@@ -14,11 +13,10 @@ from patterns.binding.rows import Units
 from patterns.engine.compiling import compile_kernel
 from patterns.engine.packed import pack
 from patterns.engine.ruleset import merged
+from tests.patterns.examples import examples
 from tests.patterns.reference import Tree, rendered
 from tests.patterns.samples import bound_unless_empty, letter_rows, letter_rule, trees
 from tests.patterns.test_online import LATENESS_US, Record, pieces, records
-
-EXAMPLES = int(os.environ.get("VIAN_KERNEL_EXAMPLES", "150"))
 
 CONDITIONS = [
     "{0}.letter = 'a'", "letter = 'b'", "letter <> PREV(letter)", "{0}.letter IN ('a', 'c')", "{0}.n > PREV({0}.n)",
@@ -99,8 +97,7 @@ def kernel() -> None:
     compile_kernel()
 
 
-@pytest.mark.timeout(900)
-@settings(max_examples=EXAMPLES)
+@examples(0.075)
 @given(
     data=st.data(), rows=records(), cuts=st.lists(st.integers(0, 100), max_size=4), seed=st.integers(0, 14),
     restarts=st.sets(st.integers(0, 4), max_size=2),
@@ -129,6 +126,36 @@ def test_the_kernel_finds_what_the_general_matcher_finds(
         wanted: Any = alone(bound, parts)
         failure = group.failures.get(name)
         assert (str(failure) if failure else found.get(name, Outcome())) == wanted, name
+
+
+@examples(0.075)
+@given(
+    data=st.data(), rows=records(), cuts=st.lists(st.integers(0, 100), min_size=5, max_size=5), seed=st.integers(0, 14),
+    places=st.lists(st.integers(0, 7), min_size=6, max_size=6),
+)  # fmt: skip
+def test_rules_go_on_from_matcher_to_kernel_and_back(
+    data: st.DataObject, rows: list[Record], cuts: list[int], seed: int, places: list[int]
+) -> None:
+    bounds = [bound for at in range(3) if (bound := data.draw(rules(f"rule-{at}"))) is not None]
+    assume(bounds)
+    arriving = _with_more(sorted(rows, key=lambda row: row["us"] + row["delay"]), seed)
+    parts = pieces(arriving, cuts)
+    group = RuleSetRun(bounds, uses_kernel=False)
+    steps = []
+    for place, part in zip(places, parts, strict=True):
+        steps.append(group.push(letter_rows(part)))
+        states = {name: group.state(name) for name in group.rules}
+        group = RuleSetRun()
+        for at, bound in enumerate(bounds):
+            if bound.rule.rule in states:
+                group._uses_kernel = bool(place >> at & 1)
+                group.add(bound, states[bound.rule.rule])
+                assert group.state(bound.rule.rule).startswith(b"VRS2" if place >> at & 1 else b"VRS1")
+    found = merged([*steps, group.finish()])
+    for bound in bounds:
+        wanted: Any = alone(bound, parts)
+        if not isinstance(wanted, str):
+            assert found.get(bound.rule.rule, Outcome()) == wanted, bound.rule.rule
 
 
 @pytest.mark.timeout(900)
