@@ -50,6 +50,8 @@ class Server:
         self._url = sa.make_url(dsn)
         self._close = close
         self._numbers = count(1)
+        # One for the session: a test needs it twice, to make its log and to drop it.
+        self._connection = psycopg.connect(self.dsn("postgres"), autocommit=True)
         # What is tested is the order of commits and a killed process, not a power cut.
         unneeded = ("fsync", "full_page_writes", "autovacuum")
         self.execute(*(f"alter system set {name} = off" for name in unneeded), "select pg_reload_conf()")
@@ -62,9 +64,8 @@ class Server:
 
     def execute(self, *statements: str) -> None:
         """Run the statements, each in a transaction of its own, as the server's owner."""
-        with psycopg.connect(self.dsn("postgres"), autocommit=True) as connection:
-            for statement in statements:
-                connection.execute(statement)
+        for statement in statements:
+            self._connection.execute(statement)
 
     def wait_for(self, wanted: dict[str, str]) -> None:
         """Return when new connections have these settings: a reload takes a moment to reach them."""
@@ -90,6 +91,7 @@ class Server:
 
     def close(self) -> None:
         """Stop it."""
+        self._connection.close()
         self._close()
 
 

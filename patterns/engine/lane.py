@@ -35,7 +35,7 @@ from patterns.engine.running import Counts, GivenUp, Outcome, decided_order, nee
 from patterns.engine.situations import EventRef, Match, Narrator, as_python, event_ref, nearest_time
 from patterns.engine.skipping import rule_skip_error
 from patterns.engine.tails import Tails
-from patterns.errors import CalibrationUnknown, FrameSizeUnknown, LimitError, MatchError, PatternError
+from patterns.errors import FrameSizeUnknown, LimitError, MatchError, PatternError
 from patterns.limits import Limits
 from patterns.scene.places import Places
 from patterns.scene.site import Site
@@ -852,10 +852,6 @@ def _in_own_names(member: Member, error: Exception) -> Exception:
     names = {shape.model_dump_json(): name for name, shape in (*rule.zones.items(), *rule.lines.items())}
     if isinstance(error, FrameSizeUnknown) and error.shape in names:
         return FrameSizeUnknown(names[error.shape], error.source)
-    if isinstance(error, CalibrationUnknown):
-        for shape, name in names.items():
-            if repr(shape) in error.who:
-                return CalibrationUnknown(error.who.replace(repr(shape), repr(name)), error.source)
     return error
 
 

@@ -194,6 +194,7 @@ def _report(work: Work, member: Member) -> dict[str, Any]:
         "partitions_open": status.partitions_open,
         "rows_waiting": status.rows_waiting,
         "watermark": None if status.watermark is None else status.watermark.isoformat(),
+        "uncalibrated": dict(member.uncalibrated),
         "spent_s": round(status.spent_s, 6),
         "event_us": round(member.pace.event_us, 3) or member.mark.report.get("event_us", 0.0),
     }

@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import datetime
+from functools import lru_cache
 from typing import Literal
 
 import pyarrow as pa
@@ -230,7 +231,13 @@ def rule_of(service: Service) -> Rule:
     Raises:
         RuleError: Its text is no rule for this program.
     """
-    return parse_rule(service.text, f"<{service.rule} version {service.version}, deployed at {service.position}>")
+    return _read(service.text, f"<{service.rule} version {service.version}, deployed at {service.position}>")
+
+
+@lru_cache(maxsize=512)
+def _read(text: str, name: str) -> Rule:
+    """The rule of a text that the log keeps, read once: each deployment looks at all that are in service."""
+    return parse_rule(text, name)
 
 
 def retirement_draft(

@@ -18,6 +18,7 @@ import numpy as np
 import pyarrow as pa
 
 from events import (
+    CameraCalibrated,
     Catalogue,
     EventBatch,
     EventType,
@@ -195,8 +196,28 @@ class Pass:
                 raise RunOneByOne(parts[-1].segment.position)
             for part, outcome in zip(own, outcomes, strict=True):
                 self.position = part.segment.position
+                self._note_uncalibrated(types, part)
                 findings += self._findings(outcome, rules)
         return sorted(findings, key=lambda each: (each.position, each.member.service.key))
+
+    def _note_uncalibrated(self, types: frozenset[str], part: "_Part") -> None:
+        """Counts for the rules that ask metres of a segment's events what they could not be told."""
+        asking = [each for each in self.members.values() if each.types == types and each.metres.is_asked]
+        source = str(part.segment.stream.source)
+        said = [event for event, stream, _ in self._site.values() if stream.split("/")[1] == source] if asking else []
+        is_calibrated = any(isinstance(event, CameraCalibrated) for event in said)
+        in_metres = [event.zone for event in said if isinstance(event, ZoneDefined) and event.units == "metres"]
+        for member in asking:
+            if is_calibrated:
+                member.uncalibrated.pop(source, None)
+            elif len(part) and member.failure is None and member.metres.asks(source, in_metres):
+                if source not in member.uncalibrated:
+                    logger.warning(
+                        "rule %s version %d asks for metres of source %s, which is not calibrated: it finds none. "
+                        "Next: vian zones calibrate %s POINTS.yaml, or leave the source out in the rule's FROM",
+                        member.rule.rule, member.rule.version, source, source,
+                    )  # fmt: skip
+                member.uncalibrated[source] = member.uncalibrated.get(source, 0) + len(part)
 
     def _columns_of(self, types: frozenset[str]) -> frozenset[str] | None:
         """The columns that the rules of a set read; None: they may read any."""

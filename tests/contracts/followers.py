@@ -5,7 +5,7 @@ import threading
 from events import Segment
 from store import Log, Subscription
 
-WAIT_S = 30.0
+WAIT_S = 60.0
 """Longest wait for something that a correct log does at once."""
 
 

@@ -48,7 +48,7 @@ def events(event_type: type[EventType]) -> st.SearchStrategy[EventType]:
 @cache
 def batches(event_type: type[EventType], min_size: int = 0) -> st.SearchStrategy[EventBatch]:
     """Any batch of the type whose floats are any bits at all, signalling NaN included."""
-    rows = st.lists(events(event_type), min_size=min_size, max_size=6)
+    rows = st.lists(events(event_type), min_size=min_size, max_size=4)
     return st.tuples(rows, st.randoms(use_true_random=False)).map(
         lambda drawn: _with_any_float_bits(batch_of_type(event_type, drawn[0]), drawn[1].randbytes)
     )
@@ -57,7 +57,7 @@ def batches(event_type: type[EventType], min_size: int = 0) -> st.SearchStrategy
 @cache
 def lawful_batches(event_type: type[EventType]) -> st.SearchStrategy[EventBatch]:
     """Any batch of the type that may be appended."""
-    rows = st.lists(_models(event_type, is_lawful=True), min_size=1, max_size=6)
+    rows = st.lists(_models(event_type, is_lawful=True), min_size=1, max_size=4)
     return rows.map(lambda said: batch_of_type(event_type, said))
 
 

@@ -1,4 +1,7 @@
-"""How many random cases the tests of laws try: 2,000 in all in a common run, more where the environment asks for it."""
+"""How many random cases the tests of laws try: over 2,000 in all in a common run, more where the environment asks.
+
+They are new in each run; a failure prints the seed and the blob that repeat it.
+"""
 
 import os
 from collections.abc import Callable
@@ -13,6 +16,6 @@ _TIMEOUT_S = 600 * max(1, TOTAL // 2000)
 
 
 def examples(share: float) -> Callable[[Any], Any]:
-    """The settings of a test that takes this share of the cases; a failure prints what repeats it."""
+    """The settings of a test of a law, which takes this share of the cases; `-m law` chooses these tests."""
     chosen = settings(max_examples=max(1, round(TOTAL * share)))
-    return lambda test: pytest.mark.timeout(_TIMEOUT_S)(chosen(test))
+    return lambda test: pytest.mark.law(pytest.mark.slow(pytest.mark.timeout(_TIMEOUT_S)(chosen(test))))

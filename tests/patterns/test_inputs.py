@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from patterns import MatchError, RuleRun, bind, match, parse_rule, run_tests
 from tests.patterns.samples import BEGINNING, SCHEMAS, letter_rows
+from tests.patterns.test_online import online
 
 AT_A_THEN_B = """\
 rule: a-then-b
@@ -192,14 +193,5 @@ def test_arms_online_give_what_they_give_in_batch(rows: list[dict[str, Any]], re
     for table in both(rows):
         whole.hold(table)
     wanted = list(whole.finish().matches)
-    run = RuleRun(bound)
-    found = []
-    for index, table in enumerate(both(sorted(rows, key=lambda row: row["us"] + row["delay"]))):
-        outcome = run.push(table)
-        assert outcome.late == ()
-        found += outcome.matches
-        if index in restarts:
-            state = run.state()
-            run = RuleRun(bound)
-            run.restore(state)
-    assert [*found, *run.finish().matches] == wanted
+    arriving = sorted(rows, key=lambda row: row["us"] + row["delay"])
+    assert online(bound, both(arriving), restarts) == wanted

@@ -1,11 +1,10 @@
 """The compiled kernel and the general matcher agree: random rules, random rows, random splits."""
 
-import os
 from itertools import accumulate
 from typing import Any
 
 import pytest
-from hypothesis import assume, given, note, settings
+from hypothesis import assume, given, note
 from hypothesis import strategies as st
 
 from patterns import Outcome, PatternError, RuleRun, RuleSetRun
@@ -14,11 +13,10 @@ from patterns.binding.rows import Units
 from patterns.engine.compiling import compile_kernel
 from patterns.engine.packed import pack
 from patterns.engine.ruleset import merged
+from tests.patterns.examples import examples
 from tests.patterns.reference import Tree, rendered
 from tests.patterns.samples import bound_unless_empty, letter_rows, letter_rule, trees
 from tests.patterns.test_online import LATENESS_US, Record, pieces, records
-
-EXAMPLES = int(os.environ.get("VIAN_KERNEL_EXAMPLES", "150"))
 
 CONDITIONS = [
     "{0}.letter = 'a'", "letter = 'b'", "letter <> PREV(letter)", "{0}.letter IN ('a', 'c')", "{0}.n > PREV({0}.n)",
@@ -99,8 +97,7 @@ def kernel() -> None:
     compile_kernel()
 
 
-@pytest.mark.timeout(900)
-@settings(max_examples=EXAMPLES)
+@examples(0.075)
 @given(
     data=st.data(), rows=records(), cuts=st.lists(st.integers(0, 100), max_size=4), seed=st.integers(0, 14),
     restarts=st.sets(st.integers(0, 4), max_size=2),
@@ -131,8 +128,7 @@ def test_the_kernel_finds_what_the_general_matcher_finds(
         assert (str(failure) if failure else found.get(name, Outcome())) == wanted, name
 
 
-@pytest.mark.timeout(900)
-@settings(max_examples=EXAMPLES)
+@examples(0.075)
 @given(
     data=st.data(), rows=records(), cuts=st.lists(st.integers(0, 100), min_size=5, max_size=5), seed=st.integers(0, 14),
     places=st.lists(st.integers(0, 7), min_size=6, max_size=6),
@@ -162,8 +158,7 @@ def test_rules_go_on_from_matcher_to_kernel_and_back(
             assert found.get(bound.rule.rule, Outcome()) == wanted, bound.rule.rule
 
 
-@pytest.mark.timeout(900)
-@settings(max_examples=EXAMPLES)
+@examples(0.075)
 @given(
     data=st.data(), rows=records(), cuts=st.lists(st.integers(0, 100), max_size=7), seed=st.integers(0, 14),
     groups=st.lists(st.integers(1, 4), min_size=8, max_size=8), is_late=st.booleans(),

@@ -1,9 +1,11 @@
 """Online equals batch: in any split, with any restart, in any order of arrival within the lateness."""
 
+from collections.abc import Sequence
 from datetime import datetime, timedelta
 from itertools import pairwise
 from typing import Any
 
+import pyarrow as pa
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -109,11 +111,12 @@ def pieces(rows: list[Record], cuts: list[int]) -> list[list[Record]]:
     return [rows[begin:end] for begin, end in pairwise(bounds)]
 
 
-def _online(bound: BoundRule, pieces: list[list[Record]], restarts: set[int]) -> list[Match]:
+def online(bound: BoundRule, pieces: Sequence[pa.Table], restarts: set[int]) -> list[Match]:
+    """What the rule finds in rows that come piece by piece, none of them late, with restarts after some pieces."""
     run = RuleRun(bound)
     found: list[Match] = []
     for index, piece in enumerate(pieces):
-        outcome = run.push(letter_rows(piece))
+        outcome = run.push(piece)
         assert outcome.late == ()
         found += outcome.matches
         if index in restarts:
@@ -136,7 +139,7 @@ def test_any_split_restart_and_order_of_arrival_gives_what_batch_gives(
     arriving = sorted(rows, key=lambda row: row["us"] + row["delay"]) if is_shuffled else rows
     bound = bind(RULES[name], SCHEMAS)
     wanted = match(bound, letter_rows(rows))
-    assert _online(bound, pieces(arriving, cuts), restarts) == wanted
+    assert online(bound, [letter_rows(piece) for piece in pieces(arriving, cuts)], restarts) == wanted
 
 
 def _run(more: str = "time: {lateness: 2 s}", **arguments: str) -> RuleRun:

@@ -3,12 +3,13 @@
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from patterns import BoundRule, Match, Outcome, PatternError, RuleRun, RuleSetRun, SkipError, bind, match
 from patterns.engine.compiling import compile_kernel
 from patterns.engine.ruleset import Outcomes, merged
+from tests.patterns.examples import examples
 from tests.patterns.samples import SCHEMAS, define_letters, letter_rows, letter_rule, letters
 from tests.patterns.test_online import RULES, Record, pieces, records
 
@@ -30,7 +31,7 @@ def _alone(bound: BoundRule, parts: list[list[Record]]) -> Outcome:
     return whole + run.finish()
 
 
-@settings(max_examples=60)
+@examples(0.03)
 @given(rows=records(), cuts=st.lists(st.integers(0, 100), max_size=5), restarts=st.sets(st.integers(0, 5)))
 def test_a_set_gives_for_each_rule_what_it_gives_alone(rows: list[Record], cuts: list[int], restarts: set[int]) -> None:
     arriving = sorted(rows, key=lambda row: row["us"] + row["delay"])
@@ -51,7 +52,7 @@ def test_a_set_gives_for_each_rule_what_it_gives_alone(rows: list[Record], cuts:
         assert found.get(bound.rule.rule, Outcome()) == _alone(bound, parts), bound.rule.rule
 
 
-@settings(max_examples=30)
+@examples(0.015)
 @given(rows=records(), came=st.integers(0, 3), went=st.integers(0, 3))
 def test_rules_that_come_and_go_change_nothing_for_the_others(rows: list[Record], came: int, went: int) -> None:
     parts = pieces(rows, [len(rows) // 4, len(rows) // 2, len(rows) * 3 // 4])

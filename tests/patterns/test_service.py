@@ -1,5 +1,6 @@
 """Rules into service and out of it while the processor runs: nothing is lost, nothing is said twice."""
 
+import json
 import random
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -8,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from events import StreamName, batch_of, encode
+from events import CameraCalibrated, StreamName, batch_of, encode
 from patterns import parse_rule
 from patterns.engine.ruleset import RuleSetRun
 from patterns.engine.situations import Narrator
@@ -221,6 +222,7 @@ def test_a_rule_that_raises_anything_is_retired_with_its_position_and_comes_back
     assert not processor.failures
 
 
+@pytest.mark.timeout(600)  # one of them compiles the kernel where nobody did
 @pytest.mark.parametrize("is_compiled", [True, False])
 def test_a_rule_that_fails_among_segments_read_together_has_told_what_it_found_before(
     make_log: MakeLog, monkeypatch: pytest.MonkeyPatch, is_compiled: bool
@@ -456,3 +458,38 @@ def test_what_a_limit_costs_is_an_event_and_the_rule_goes_on(log: Log) -> None:
     assert "the limit `partitions` is 4" in missed[0].reason
     assert found(log)[-1] == ("enters", 1, 90.0)
     assert not processor.failures
+
+
+def test_a_source_that_is_not_calibrated_is_left_out_and_named_until_it_is(
+    log: Log, caplog: pytest.LogCaptureFixture
+) -> None:
+    fast = parse_rule(
+        "rule: fast\nversion: 1\ntitle: fast\nseverity: info\nmatch: |\n"
+        "  SELECT * FROM track_point MATCH_RECOGNIZE (PARTITION BY source, track_id ORDER BY time, sequence\n"
+        "    MEASURES LAST(A.x) AS x PATTERN (A) DEFINE A AS ground_speed(x, y, vx, vy) > 0.1)\n"
+    )
+    scale = json.dumps([[0.1, 0, 0], [0, -0.1, 10], [0, 0, 1]])
+    calibrated = CameraCalibrated(time=T0, homography=scale, width=100, height=100, method="points", rms_m=None)
+    say(log, "street", calibrated)
+    deployed(log, fast)
+    walkers(log, "gate", seconds=4)
+    walkers(log, "street", seconds=4)
+    processor = Processor(log, STATION)
+    processor.catch_up()
+    assert {each.partition for each in situations(log)} == {
+        json.dumps({"source": "street", "track_id": at}) for at in (1, 2, 3)
+    }
+    assert len(situations(log)) == 12
+    (report,) = reports(log, STATION)
+    assert (report.state, report.uncalibrated) == ("runs", {"gate": 12})
+    told = [each.getMessage() for each in caplog.records if "not calibrated" in each.getMessage()]
+    assert len(told) == 1
+    assert "Next: vian zones calibrate gate POINTS.yaml" in told[0]
+
+    say(log, "gate", calibrated)
+    walk(log, range(20, 24), "gate")
+    end(log, "gate", 90)
+    Processor(log, STATION).catch_up()
+    assert len(situations(log)) == 24
+    (report,) = reports(log, STATION)
+    assert report.uncalibrated == {}

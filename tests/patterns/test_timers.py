@@ -1,17 +1,18 @@
 """TIMER: equal to its definition, online equal to batch, and each thing that it refuses."""
 
 from datetime import timedelta
-from itertools import pairwise
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
-from patterns import BoundRule, Match, RuleError, RuleRun, bind, check, match, parse_rule
+from patterns import BoundRule, RuleError, RuleRun, bind, check, match, parse_rule
 from patterns.processor import Processor, ProcessorLimits
 from store import Log
+from tests.patterns.examples import examples
 from tests.patterns.samples import BEGINNING, SCHEMAS, letter_rows, letter_rule
+from tests.patterns.test_online import online, pieces
 from tests.patterns.test_processor import STATION, T0, add_video, end, point, say, situations
 from tests.patterns.timer_reference import TimedPattern, Tree, matches
 
@@ -84,7 +85,7 @@ def records(draw: st.DrawFn) -> list[dict[str, Any]]:
     return sorted(rows, key=lambda row: (row["us"], row["source"], row["sequence"]))
 
 
-@settings(max_examples=25)
+@examples(0.0125)  # for each of the patterns
 @given(rows=records(), after_a=st.integers(1, 5), after_b=st.integers(1, 5))
 @pytest.mark.parametrize("name", PATTERNS)
 def test_the_engine_finds_what_the_definition_finds(
@@ -109,7 +110,7 @@ def _us(time: Any) -> int:
     return (time - BEGINNING) // (time - time).resolution
 
 
-@settings(max_examples=15)
+@examples(0.0075)  # for each of the patterns
 @given(
     rows=records(), cuts=st.lists(st.integers(0, 100), max_size=6), restarts=st.sets(st.integers(0, 6)),
     is_shuffled=st.booleans(), after_a=st.integers(1, 5),
@@ -120,19 +121,8 @@ def test_any_split_restart_and_order_of_arrival_gives_what_batch_gives(
 ) -> None:
     bound, _ = _bound(name, after_a, 3)
     arriving = sorted(rows, key=lambda row: row["us"] + row["delay"]) if is_shuffled else rows
-    bounds = [0, *sorted(cut % (len(rows) + 1) for cut in cuts), len(rows)]
-    run = RuleRun(bound)
-    found: list[Match] = []
-    for index, (first, last) in enumerate(pairwise(bounds)):
-        outcome = run.push(letter_rows(arriving[first:last]))
-        assert outcome.late == ()
-        found += outcome.matches
-        if index in restarts:
-            state = run.state()
-            run = RuleRun(bound)
-            run.restore(state)
-            assert run.state() == state
-    assert [*found, *run.finish().matches] == match(bound, letter_rows(rows))
+    found = online(bound, [letter_rows(piece) for piece in pieces(arriving, cuts)], restarts)
+    assert found == match(bound, letter_rows(rows))
 
 
 def _overdue(pattern: str = "came any*? overdue", **arguments: Any) -> BoundRule:

@@ -224,6 +224,15 @@ def test_a_zone_of_another_source_is_never_true() -> None:
     )
 
 
+def test_metres_of_a_source_that_is_not_calibrated_are_unknown() -> None:
+    metres = loitering(zone=("{source: gate, polygon", "{source: gate, units: metres, polygon"))
+    answer = asked(metres, rows([(0, 20), (1, 60)]))
+    assert answer.nearest is not None
+    (shortfall,) = answer.nearest.shortfalls
+    wanted = "'yard'): unknown, for source gate is not calibrated. Next: vian zones calibrate gate POINTS.yaml"
+    assert shortfall.endswith(wanted)
+
+
 def test_an_unknown_frame_size_is_an_error_that_names_zone_and_source() -> None:
     with pytest.raises(FrameSizeUnknown, match="'yard' is in normalised coordinates of source 'gate'"):
         asked_without_sizes()

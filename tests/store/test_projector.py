@@ -166,7 +166,7 @@ def test_each_event_has_one_row_whatever_step_is_cut_short(
 @on_both
 def test_two_projectors_at_once_store_each_event_once(log: Log, monkeypatch: pytest.MonkeyPatch) -> None:
     append(log, GATE, 3, 2)
-    both_have_it = threading.Barrier(2, timeout=30)
+    both_have_it = threading.Barrier(2, timeout=60)
     decoded = Projector._decoded
     met: set[Projector] = set()
 

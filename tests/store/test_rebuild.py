@@ -281,7 +281,7 @@ def test_several_projectors_at_once_rebuild_each_row_once(log: Log, monkeypatch:
     made = [Projector(log) for _ in range(3)]
     made[0].rebuild("track_point")
     append(log, YARD, 1, 1)
-    together = threading.Barrier(3, timeout=30)
+    together = threading.Barrier(3, timeout=60)
 
     def catch_up(one: Projector) -> None:
         together.wait()

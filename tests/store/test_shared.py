@@ -17,7 +17,7 @@ from tests.conftest import Server
 from tests.store.samples import GATE, NOON, PRODUCER, YARD, append, draft, on_both, owner, point, points
 from tests.store.tiered import seal_all
 
-WAIT_S = 30
+WAIT_S = 60
 QUICK = Limits(window_s=0.01)
 PATIENT = Limits(window_s=60, events_max=1000)
 """Commits only when it is flushed, full or closed."""

@@ -351,7 +351,7 @@ def test_a_connection_lost_in_the_body_stores_nothing_and_ends_the_request(centr
         head = f"POST {url.path}/sync/v1/segments HTTP/1.1\r\nHost: x\r\nAuthorization: Bearer {TOKEN}\r\n"
         connection.sendall(head.encode() + f"Content-Length: {len(body)}\r\n\r\n".encode() + body[:-1])
 
-    assert statuses.get(timeout=30) == 400
+    assert statuses.get(timeout=60) == 400
     assert central_log.head() == 0
 
 

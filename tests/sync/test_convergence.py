@@ -165,7 +165,7 @@ class Observed:
 
     def wait_for(self, is_seen: Callable[[list[Step]], bool]) -> None:
         with self._changed:
-            assert self._changed.wait_for(lambda: is_seen(self.steps), timeout=30), "it did not come to pass"
+            assert self._changed.wait_for(lambda: is_seen(self.steps), timeout=60), "it did not come to pass"
 
     def __enter__(self) -> "Observed":
         self._thread.start()
@@ -173,7 +173,7 @@ class Observed:
 
     def __exit__(self, *_: object) -> None:
         self._stop.set()
-        self._thread.join(timeout=30)
+        self._thread.join(timeout=60)
         assert not self._thread.is_alive()
 
 

@@ -1,6 +1,8 @@
 """Events and looks at a log that the tests of the composition root share."""
 
+import json
 from datetime import UTC, datetime, timedelta
+from typing import Any
 
 from events import Catalogue, EventBatch, Producer, StreamName, TrackPoint, batch_of, encode
 from store import Log
@@ -34,3 +36,8 @@ def append(log: Log, batch: EventBatch, stream: StreamName = GATE) -> None:
 def heads(log: Log) -> dict[str, tuple[int, str]]:
     """Sequence and chain hash of each stream."""
     return {str(head.stream): (head.sequence, head.chain_hash.hex()) for head in log.streams()}
+
+
+def objects(out: str) -> list[dict[str, Any]]:
+    """What a command printed with --json, one object a line."""
+    return [json.loads(line) for line in out.splitlines()]

@@ -20,7 +20,7 @@ main()
 
 
 def run(program: str, *arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([sys.executable, "-c", program, *arguments], capture_output=True, text=True, timeout=60)
+    return subprocess.run([sys.executable, "-c", program, *arguments], capture_output=True, text=True, timeout=200)
 
 
 def test_an_interrupt_before_the_command_is_there_is_an_interrupt_like_another() -> None:

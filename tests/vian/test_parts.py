@@ -8,7 +8,7 @@ from store import LogUnavailable
 from vian import parts
 from vian.parts import Part, Parts, stepping
 
-SECONDS_MAX = 20.0
+SECONDS_MAX = 60.0
 
 
 class FakeLog(SimpleNamespace):

@@ -34,7 +34,7 @@ def test_a_server_sees_to_the_row_tables_again_and_again(log: Log, monkeypatch: 
     monkeypatch.setattr("vian.rows.maintain", watched)
     settings: Any = load_settings(rows_close_after_h=0).model_copy(update={"rows_upkeep_s": 0.01})
     with Parts([upkeep_part(log, settings)]):
-        assert twice.acquire(timeout=30)
-        assert twice.acquire(timeout=30)
+        assert twice.acquire(timeout=60)
+        assert twice.acquire(timeout=60)
     (table,) = [table for table in row_tables(log) if table.partitions]
     assert (table.type, table.closed) == ("track_point", 1)

@@ -71,5 +71,5 @@ def test_rules_run_as_a_part_of_a_server(log: Log, tmp_path: Path) -> None:
     append(log, points(2, x=9.0))
     append(log, points(1, first_frame=10, x=0.0))
     with Parts([part]) as running, Subscription(log, "tests", types=["situation_detected"]) as situations:
-        assert {segment.stream.source for segment in situations.poll(timeout_s=20).segments} == {"gate"}
+        assert {segment.stream.source for segment in situations.poll(timeout_s=60).segments} == {"gate"}
         running.check()

@@ -146,6 +146,10 @@ def status(
         return
     output.table("Rules", _COLUMNS, [_row(each) for each in found])
     for each in found:
+        for source, events in each.uncalibrated.items():
+            output.line(f"{each.service.rule} version {each.service.version} found no metres in {events} events of "
+                        f"{source}, which is not calibrated")  # fmt: skip
+            output.note(f"Next: vian zones calibrate {source} POINTS.yaml, or leave the source out in the rule's FROM")
         gone = each.service.retirement
         if gone is not None and each.state in ("failed", "too_slow"):
             output.line(f"{each.service.rule} version {each.service.version} was set aside {gone.reason}")
@@ -179,6 +183,7 @@ def _values(each: Report) -> dict[str, object]:
         "watermark": each.watermark,
         **each.counts,
         "missed": each.missed,
+        "uncalibrated": each.uncalibrated,
     }
 
 

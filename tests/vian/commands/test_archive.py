@@ -1,28 +1,14 @@
 """`vian archive` and its parts: status, project, relocate."""
 
-import json
 import shutil
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from store import Log
 from tests.vian.conftest import Run
-from tests.vian.samples import YARD, append, points
+from tests.vian.samples import append, objects, points
 from vian.exclusive import exclusively
-
-
-@pytest.fixture
-def filled(log: Log) -> Log:
-    append(log, points(30))
-    append(log, points(5), YARD)
-    append(log, points(5, first_frame=30))
-    return log
-
-
-def objects(out: str) -> list[dict[str, Any]]:
-    return [json.loads(line) for line in out.splitlines()]
 
 
 def test_old_segments_are_sealed_and_every_command_sees_the_whole_log(filled: Log, run: Run, tmp_path: Path) -> None:

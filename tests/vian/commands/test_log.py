@@ -1,8 +1,6 @@
 """`vian streams`, `tail`, `psql`."""
 
-import json
 from collections.abc import Callable
-from typing import Any
 
 import pytest
 from psycopg.conninfo import make_conninfo
@@ -11,20 +9,8 @@ from events import SHIPPED, Catalogue, batch_of
 from store import Log, Projector
 from tests.events.plugged import VehicleWeighed
 from tests.vian.conftest import Run
-from tests.vian.samples import GATE, YARD, append, points
+from tests.vian.samples import GATE, YARD, append, objects, points
 from tests.vian.test_querying import WEIGHED, weighed
-
-
-@pytest.fixture
-def filled(log: Log) -> Log:
-    append(log, points(30))
-    append(log, points(5), YARD)
-    append(log, points(5, first_frame=30))
-    return log
-
-
-def objects(out: str) -> list[dict[str, Any]]:
-    return [json.loads(line) for line in out.splitlines()]
 
 
 def test_streams_are_listed_with_sequence_and_hash(filled: Log, run: Run) -> None:

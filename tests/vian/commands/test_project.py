@@ -1,6 +1,5 @@
 """`vian project` and the commands below it."""
 
-import json
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
@@ -9,19 +8,7 @@ import pytest
 from store import Log, Projector
 from tests.store.samples import query
 from tests.vian.conftest import Run
-from tests.vian.samples import YARD, append, points
-
-
-@pytest.fixture
-def filled(log: Log) -> Log:
-    append(log, points(30))
-    append(log, points(5), YARD)
-    append(log, points(5, first_frame=30))
-    return log
-
-
-def objects(out: str) -> list[dict[str, Any]]:
-    return [json.loads(line) for line in out.splitlines()]
+from tests.vian.samples import objects
 
 
 def status(log: Log, run: Run, type_name: str = "track_point") -> dict[str, Any]:

@@ -1,6 +1,5 @@
 """`vian init`, `sign`, `verify`."""
 
-import json
 import stat
 from pathlib import Path
 from typing import Any
@@ -11,15 +10,7 @@ import pytest
 from store import Log
 from tests.store.tiered import seal_all
 from tests.vian.conftest import Ran, Run
-from tests.vian.samples import GATE, YARD, append, points
-
-
-@pytest.fixture
-def filled(log: Log) -> Log:
-    append(log, points(30))
-    append(log, points(5), YARD)
-    append(log, points(5, first_frame=30))
-    return log
+from tests.vian.samples import GATE, YARD, append, objects, points
 
 
 @pytest.fixture
@@ -31,10 +22,6 @@ def key_file(tmp_path: Path) -> Path:
 def at(filled: Log, key_file: Path) -> tuple[str, ...]:
     """Options that name the log and the key."""
     return ("--dsn", filled.dsn, "--key-file", str(key_file))
-
-
-def objects(out: str) -> list[dict[str, Any]]:
-    return [json.loads(line) for line in out.splitlines()]
 
 
 def one(ran: Ran) -> dict[str, Any]:
