@@ -103,6 +103,7 @@ class Member:
         failure: Why it was set aside.
         spent_s: What the step took for this rule alone, by the lane's clock.
         readers: How to read its registers: the type of each; None: a number of rows.
+        begins_us: Where it came from the general matcher: a match that a row before this time could begin it has begun.
     """
 
     name: str
@@ -115,6 +116,7 @@ class Member:
     failure: Exception | None = None
     given_up: list[GivenUp] = field(default_factory=list)
     spent_s: float = 0.0
+    begins_us: int | None = None
 
     @property
     def bound(self) -> BoundRule:
@@ -391,6 +393,7 @@ class Lane:
         self.clock.reset()
         for member in self.members:
             member.emitter.reset()
+            member.begins_us = None
         return outcomes
 
     def _advance(self) -> dict[str, Outcome]:

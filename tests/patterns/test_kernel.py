@@ -128,7 +128,7 @@ def test_the_kernel_finds_what_the_general_matcher_finds(
         assert (str(failure) if failure else found.get(name, Outcome())) == wanted, name
 
 
-@examples(0.075)
+@examples(0.02)
 @given(
     data=st.data(), rows=records(), cuts=st.lists(st.integers(0, 100), min_size=5, max_size=5), seed=st.integers(0, 14),
     places=st.lists(st.integers(0, 7), min_size=6, max_size=6),
