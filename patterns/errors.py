@@ -8,8 +8,7 @@ PatternError
 │   ├── SkipError        AFTER MATCH SKIP has no row to go to
 │   ├── LimitError       a limit of `Limits` was reached; names it
 │   ├── RuleTooSlow      a rule took longer for its events than it may
-│   ├── FrameSizeUnknown a normalised zone or line met a row of a source of unknown frame size
-│   └── CalibrationUnknown  metres were asked of a source that is not calibrated
+│   └── FrameSizeUnknown a normalised zone or line met a row of a source of unknown frame size
 └── StateError           bytes that are not the saved state of this rule
 """
 
@@ -88,24 +87,6 @@ class FrameSizeUnknown(MatchError):
             "video_added of it came before. Next: write the coordinates with `units: pixels`"
         )
         self.shape = shape
-        self.source = source
-
-
-class CalibrationUnknown(MatchError):
-    """Metres were asked of a row of a source that is not calibrated.
-
-    Attributes:
-        who: What asked: a zone or line in metres, or a function.
-        source: The source.
-    """
-
-    def __init__(self, who: str, source: str) -> None:
-        super().__init__(
-            f"{who} needs metres on the ground of source {source!r}, which is not calibrated: no camera_calibrated of "
-            f"it came before. Next: vian zones calibrate {source} POINTS.yaml, or leave the source out in the rule's "
-            f"FROM, with WHERE source <> '{source}'"
-        )
-        self.who = who
         self.source = source
 
 

@@ -8,6 +8,7 @@ the log. A deployed version never changes: another content under its number is r
 from collections.abc import Callable, Iterable, Sequence
 from datetime import datetime
 from pathlib import Path
+from time import sleep
 
 import pyarrow as pa
 import structlog
@@ -68,6 +69,23 @@ def stages_of(paths: Sequence[Path]) -> list[Stage]:
 def stages_beside(rules: Path) -> list[Path]:
     """The files of stages among the rules of a file or folder."""
     return [file for file in yaml_files(rules) if is_stage_file(file)]
+
+
+def stages_beside_that_run(log: Log, station: str, rules: Path) -> list[Stage]:
+    """The stages among the rules of a file or folder, deployed; one that cannot run is named and left out."""
+    stages: dict[str, Stage] = {}
+    for path in stages_beside(rules):
+        try:
+            (stage,) = stages_of([path])
+            if stage.stage in stages:
+                raise WrongUsage(f"the stage {stage.stage!r} is also defined in {stages[stage.stage].path}")
+            check_fits(stage, log.catalogue)
+            deploy_stages(log, station, [stage])
+        except (PatternError, WrongUsage) as error:
+            logger.error("a stage file is left out; the others run", file=str(path), error=str(error))
+            continue
+        stages[stage.stage] = stage
+    return list(stages.values())
 
 
 def check_fits(stage: Stage, catalogue: Catalogue) -> None:
@@ -253,13 +271,22 @@ def stages_part(log: Log, station: str, stages: Sequence[Stage]) -> Part:
     def step() -> None:
         are_caught_up = [follower.step() for follower in followers]
         if all(are_caught_up):
-            followers[0].step(_STEP_SECONDS)
+            _wait(followers)
 
     def close() -> None:
         for follower in followers:
             follower.close()
 
     return stepping("stages", step, log, close)
+
+
+def _wait(followers: Sequence[StageFollower]) -> None:
+    """Wait a while for something to do; a stage that was set aside waits for nothing."""
+    alive = next((each for each in followers if each.failure is None), None)
+    if alive is None:
+        sleep(_STEP_SECONDS)
+    else:
+        alive.step(_STEP_SECONDS)
 
 
 def _joined(batches: Sequence[EventBatch]) -> EventBatch:

@@ -1,8 +1,9 @@
 """Rule files that are watched: what changes in them is deployed while the rules run.
 
 Contract: a file that is not a rule, or says another rule under a version that is deployed, is named and
-changes nothing of what runs. A file that was removed retires its rule, which still finishes what it has begun;
-one that is missing for a moment only, as editors leave it, does not.
+changes nothing of what runs, at the start too; it is tried again when another file changes, for it may read the
+situations of that one. A file that was removed retires its rule, which still finishes what it has begun; one that
+is missing for a moment only, as editors leave it, does not.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -19,8 +20,9 @@ from patterns.files.rule import Rule
 from patterns.processor import Processor, ProcessorLimits, readable_by, retire, standing
 from store import Log
 from vian.clock import utc_now
+from vian.errors import WrongUsage
 from vian.parts import Part, stepping
-from vian.rules import check_fit, deploy_all, load_all, misplaced, readable_rules
+from vian.rules import deploy_all, misplaced
 
 logger = structlog.get_logger()
 
@@ -41,11 +43,8 @@ def processor_part(
 ) -> Part:
     """The deployed rules as a supervised part; those of a file or folder are deployed, also when they change."""
     paths = [] if path is None else [path]
-    if paths:
-        rules = load_all(paths)
-        check_fit(log, rules)
-        deploy_all(log, station, rules)
     watch = RulesWatch(log, station, paths, monotonic, look_s)
+    watch.look()
     processor = Processor(log, station, now=utc_now, limits=limits)
 
     def step() -> None:
@@ -53,6 +52,16 @@ def processor_part(
         processor.step(_STEP_SECONDS)
 
     return stepping("rules", step, log, processor.close)
+
+
+def check_there(path: Path | None) -> None:
+    """Nothing, if there is a rule file or folder to watch; an empty folder may be filled later.
+
+    Raises:
+        WrongUsage: There is none.
+    """
+    if path is not None and not path.exists():
+        raise WrongUsage(f"there is no {path} to read rules from. Next: mkdir {path}, or give another folder or file")
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +109,7 @@ class RulesWatch:
         gone = [path for path in self._seen if path not in stamps]
         count = 0
         if changed:
-            count += self._deploy({path: stamps[path] for path in changed}, set(stamps))
+            count += self._deploy({path: stamps[path] for path in changed}, stamps)
         for path in gone:
             count += self._remove(path)
         self._missing = {path for path in gone if path in self._seen}
@@ -123,36 +132,53 @@ class RulesWatch:
                 found[file] = (stat.st_mtime_ns, stat.st_size)
         return found
 
-    def _deploy(self, changed: Mapping[Path, Stamp], present: set[Path]) -> int:
-        names = {each.rule: path for path, each in self._seen.items() if path in present and path not in changed}
-        count = 0
-        for path, stamp in changed.items():
-            rule = self._read(path, names)
-            if rule is not None:
+    def _deploy(self, changed: Mapping[Path, Stamp], stamps: Mapping[Path, Stamp]) -> int:
+        """Deploys the files that changed, and those left out before; how many rules that were.
+
+        A rule that reads the situations of another is a rule once that one is, in whatever order files come.
+        """
+        left_out = [path for path, each in self._seen.items() if each.rule is None and path in stamps]
+        waiting = list(dict.fromkeys([*changed, *left_out]))
+        names = {each.rule: path for path, each in self._seen.items() if path in stamps and path not in waiting}
+        count, wrong = 0, dict[Path, Exception]()
+        while waiting:
+            wrong = {}
+            for path in waiting:
+                try:
+                    rule = self._read(path, names)
+                except (PatternError, OSError) as error:
+                    wrong[path] = error
+                    continue
                 names[rule.rule] = path
                 count += self._is_deployed(rule, path)
-            self._seen[path] = _Seen(stamp, None if rule is None else rule.rule)
+                self._seen[path] = _Seen(stamps[path], rule.rule)
+            waiting = list(wrong) if len(wrong) < len(waiting) else []
+        for path, reason in wrong.items():
+            if path in changed:
+                _say_left_out(path, reason)
+            self._seen[path] = _Seen(stamps[path], None)
         return count
 
-    def _read(self, path: Path, names: Mapping[str | None, Path]) -> Rule | None:
-        """The file's rule; None where it is not one that can run, which is said."""
-        try:
-            rule = load_rule(path)
-            if rule.rule in names:
-                raise rule.error(f"the rule {rule.rule!r} is also defined in {names[rule.rule]}", "rule")
-            bind(rule, readable_by(self._log, rule, readable_rules([*names.values(), path])))
-        except (PatternError, OSError) as error:
-            logger.error("a rule file is left out; what runs goes on", file=str(path), error=str(error))
-            return None
-        for remark in misplaced(self._log, [rule]):
-            logger.warning("rule may find nothing", remark=remark)
+    def _read(self, path: Path, names: Mapping[str | None, Path]) -> Rule:
+        """The file's rule.
+
+        Raises:
+            PatternError: It is none that can run.
+            OSError: The file cannot be read.
+        """
+        rule = load_rule(path)
+        if rule.rule in names:
+            raise rule.error(f"the rule {rule.rule!r} is also defined in {names[rule.rule]}", "rule")
+        bind(rule, readable_by(self._log, rule))
         return rule
 
     def _is_deployed(self, rule: Rule, path: Path) -> bool:
+        for remark in misplaced(self._log, [rule]):
+            logger.warning("rule may find nothing", remark=remark)
         try:
             deployed = bool(deploy_all(self._log, self._station, [rule]))
         except PatternError as error:
-            logger.error("a rule file is left out; what runs goes on", file=str(path), error=str(error))
+            _say_left_out(path, error)
             return False
         if deployed:
             logger.info("rule deployed", rule=rule.rule, version=rule.version, file=str(path))
@@ -172,3 +198,7 @@ class RulesWatch:
         retired = retire(self._log, self._station, name, utc_now(), reason=reason)
         logger.info("rule retired", rule=name, reason=reason)
         return len(retired)
+
+
+def _say_left_out(path: Path, error: Exception) -> None:
+    logger.error("a rule file is left out; what runs goes on", file=str(path), error=str(error))

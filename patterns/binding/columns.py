@@ -2,8 +2,8 @@
 
 Rows come sorted by partition and, within one, in their total order. Evaluation
 is Arrow's, so NULL follows SQL's three values. Division by zero, the root of a
-negative number and a point that is not finite give NULL: a condition over them
-is not true, and no row can stop a rule.
+negative number, a point that is not finite and metres of a source that is not
+calibrated give NULL: a condition over them is not true, and no row can stop a rule.
 """
 
 from collections.abc import Callable
@@ -87,6 +87,9 @@ class ColumnEvaluator:
     def _in_zone(self, expr: InZone) -> Any:
         answers = self._answers(expr.operands)
         for zone in self.places.zones_named(expr.zone):
+            if not self.places.is_known(zone):
+                answers.leave_open(zone.source)
+                continue
 
             def inside(x: Any, y: Any, zone: Zone = zone) -> NDArray[np.bool_]:
                 return self.places.inside(zone, expr.zone, x, y)
@@ -97,6 +100,9 @@ class ColumnEvaluator:
     def _crosses(self, expr: Crosses) -> Any:
         answers = self._answers(expr.operands)
         for line in self.places.lines_named(expr.line):
+            if not self.places.is_known(line):
+                answers.leave_open(line.source)
+                continue
 
             def crossed(x0: Any, y0: Any, x1: Any, y1: Any, line: Line = line) -> NDArray[np.bool_]:
                 return self.places.crossed(line, expr.line, (x0, y0, x1, y1), expr.direction)
@@ -137,6 +143,10 @@ class _Answers:
     is_finite: NDArray[np.bool_]
     answers: NDArray[np.float64]
     is_unknown: NDArray[np.bool_]
+
+    def leave_open(self, source: str) -> None:
+        """Nothing is known of the rows of this source."""
+        self.is_unknown |= np.asarray(pc.fill_null(pc.equal(self.source, source), False))
 
     def ask(self, source: str, question: Callable[..., NDArray[Any]]) -> None:
         """Asks about the rows of this source."""

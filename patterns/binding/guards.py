@@ -175,7 +175,7 @@ def _in_zone(expr: InZone, below: list[Guard], places: Places) -> Guard:
         zone = next((each for each in places.zones_named(expr.zone) if each.source == source), None)
         if zone is None:
             return False
-        if not _all_finite(point):
+        if not _all_finite(point) or not places.is_known(zone):
             return None
         return bool(places.inside(zone, expr.zone, *_arrays(point))[0])
 
@@ -188,7 +188,7 @@ def _crosses(expr: Crosses, below: list[Guard], places: Places) -> Guard:
         line = next((each for each in places.lines_named(expr.line) if each.source == source), None)
         if line is None:
             return False
-        if not _all_finite(step):
+        if not _all_finite(step) or not places.is_known(line):
             return None
         x0, y0, x1, y1 = _arrays(step)
         return bool(places.crossed(line, expr.line, (x0, y0, x1, y1), expr.direction)[0])

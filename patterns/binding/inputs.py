@@ -284,6 +284,11 @@ def _projection(
         if name in ENVELOPE and value != columns[name]:
             message = f"SELECT: {name} is the event's own and cannot be another value. Next: choose another name"
             raise passage.error(message, item.at)
+        if arm.has_star and name in read.columns and value != columns[name]:
+            message = (
+                f"SELECT: {name!r} is ambiguous: * has it already, of {arm.source_type.name}. Next: choose another name"
+            )
+            raise passage.error(message, item.at)
         columns[name] = value
     return columns, places
 

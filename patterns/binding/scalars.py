@@ -53,6 +53,7 @@ from patterns.language.text import did_you_mean
 from patterns.language.tokens import canonical_name
 from patterns.scene.geometry import DIRECTIONS
 from patterns.scene.ground import GroundValue
+from patterns.scene.quantities import Quantity
 
 PREV_MOST = 1_000
 
@@ -100,14 +101,16 @@ class _Translator:
         try:
             return typed_call(op, operands)
         except TypeMismatch as error:
-            self.fail(f"{error}{self.texts_among(node)}", node)
+            is_of_time = any(each.kind in (Kind.TIME, Kind.DURATION) for each in operands)
+            self.fail(f"{error}{self.no_durations(node, is_of_time)}", node)
 
-    def texts_among(self, node: exp.Expr) -> str:
-        """What is to be said of parameters that were meant as quantities and are texts."""
+    def no_durations(self, node: exp.Expr, is_of_time: bool) -> str:
+        """What is to be said of parameters that were meant as durations and are not."""
         names = {str(each.this or "") for each in node.find_all(exp.Placeholder)}
         values = {name: self.scope.params.get(name) for name in sorted(names)}
-        texts = [f":{name} is the text {value!r}" for name, value in values.items() if _begins_like_a_number(value)]
-        return f"; {', '.join(texts)}, where a duration is written as in 10 s" if texts else ""
+        said = [f":{name} is {_no_duration(value, is_of_time)}" for name, value in values.items()
+                if _no_duration(value, is_of_time)]  # fmt: skip
+        return f"; {', '.join(said)}, where a duration is written as in 10 s" if said else ""
 
     # Names.
 
@@ -502,8 +505,15 @@ def labelled(operand: Expr, variable: str) -> Expr:
     return rebuilt(operand, lambda part: labelled(part, variable))
 
 
-def _begins_like_a_number(value: object) -> bool:
-    return isinstance(value, str) and re.match(r"[-+]?[0-9.]", value) is not None
+def _no_duration(value: object, is_of_time: bool) -> str:
+    """What a value is that may have been meant as a duration; nothing if it is one, or cannot have been."""
+    if isinstance(value, str):
+        return f"the text {value!r}" if re.match(r"[-+]?[0-9.]", value) else ""
+    if not is_of_time or isinstance(value, bool):
+        return ""
+    if isinstance(value, Quantity):
+        return f"a value in {value.base_unit}"
+    return f"the number {value}" if isinstance(value, int | float) else ""
 
 
 def _named(node: exp.Expr) -> str:

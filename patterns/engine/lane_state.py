@@ -73,15 +73,21 @@ def saved_lane(lane: Lane, name: str) -> bytes:
         "texts": texts,
         "key_texts": keys.texts.known,
         "due_us": int(lane.state.controls[k.DUE]),
+        "begins_us": member.begins_us,
     }
-    tables = {each: _table(pools[each]) for each in _POOLS}
+    tables = {each: table_of(pools[each]) for each in _POOLS}
     tables |= {
-        "keys": _table(keys.table[: keys.count]),
-        "last_rows": _table(last_rows),
-        "last_ordinals": _table(lane.state.last_ordinals[partitions][:, None]),
+        "keys": table_of(keys.table[: keys.count]),
+        "last_rows": table_of(last_rows),
+        "last_ordinals": table_of(lane.state.last_ordinals[partitions][:, None]),
         "tails": lane.tails.table(partitions, _own_columns(member)),
     }
     return _encoded(Saved(header, tables), _waiting_encoded(lane, member))
+
+
+def encoded(saved: Saved, waiting: pa.Table | None) -> bytes:
+    """The state as bytes; `waiting`: the rows that wait, in the total order."""
+    return _encoded(saved, _stream(pa.table({}) if waiting is None else waiting))
 
 
 def restored(
@@ -92,7 +98,7 @@ def restored(
     Raises:
         StateError: Not a saved state, or that of another rule, version or set of columns.
     """
-    saved = _decoded(state)
+    saved = decoded(state)
     header = saved.header
     bound = packed.bound
     if header["rule"] != bound.rule.hash:
@@ -154,7 +160,8 @@ def _partitions(lane: Lane, at: int, pools: dict[str, Integers]) -> Integers:
     return partitions
 
 
-def _own_layout(packed: Packed) -> Layout:
+def own_layout(packed: Packed) -> Layout:
+    """The layout of a lane of this rule alone."""
     layout = Layout()
     layout.add(packed.predicates, packed.slots, packed.zones)
     return layout
@@ -162,7 +169,7 @@ def _own_layout(packed: Packed) -> Layout:
 
 def _own_last_rows(lane: Lane, member: Member, rows: Integers) -> Integers:
     """The last rows as a lane of this rule alone would hold them."""
-    return _moved(rows, lane.layout, _own_layout(member.packed), member.packed)
+    return _moved(rows, lane.layout, own_layout(member.packed), member.packed)
 
 
 def _moved(rows: Integers, source: Layout, target: Layout, packed: Packed) -> Integers:
@@ -181,7 +188,7 @@ def _moved(rows: Integers, source: Layout, target: Layout, packed: Packed) -> In
 
 def _own_texts(lane: Lane, member: Member, registers: Integers, last_rows: Integers) -> list[str]:
     """The texts that the rule remembers; numbers in these tables are changed to places in this list."""
-    columns = _text_columns(member.packed, registers, last_rows, _own_layout(member.packed))
+    columns = _text_columns(member.packed, registers, last_rows, own_layout(member.packed))
     if not columns:
         return []
     known = len(lane.texts.known)
@@ -280,6 +287,7 @@ def _insert(lane: Lane, at: int, saved: Saved) -> None:
     header, member = saved.header, lane.members[at]
     member.emitter.restore(header["emitter"])
     member.matches = header["counts"][2]
+    member.begins_us = header.get("begins_us")
     waiting = saved.tables["waiting"]
     if waiting.num_rows:
         (rows,) = lane.waiting
@@ -287,20 +295,53 @@ def _insert(lane: Lane, at: int, saved: Saved) -> None:
         names = [STREAM, TIME, SEQUENCE, *(n for n in lane.columns if n in {*rows.column_names, *waiting.column_names})]
         columns = [(rows if name in rows.column_names else waiting).column(name) for name in names]
         lane.waiting = [pa.table(columns, names=names)]
-    pools = {name: _integers(saved.tables[name]) for name in _POOLS}
+    pools = {name: integers_of(saved.tables[name]) for name in _POOLS}
     keys = Keys(lane.input.kinds)
     keys.texts = Texts(header["key_texts"])
-    table = _integers(saved.tables["keys"])
+    table = integers_of(saved.tables["keys"])
     partitions = lane.keys.numbers_of(table, keys.texts)
     lane.make_room()
-    packed, own = member.packed, _own_layout(member.packed)
-    last_rows = _integers(saved.tables["last_rows"])
+    packed, own = member.packed, own_layout(member.packed)
+    last_rows = integers_of(saved.tables["last_rows"])
     texts = np.array([lane.texts.number(text) for text in header["texts"]] or [0], dtype=np.int64)
     for column in _text_columns(packed, pools["registers"], last_rows, own):
         column[:] = texts[column]
-    _insert_rows(lane, packed, partitions, last_rows, _integers(saved.tables["last_ordinals"])[:, 0], own)
+    ordinals = integers_of(saved.tables["last_ordinals"])[:, 0]
+    known = lane.state.last_ordinals[partitions]
+    _renumber_rows(pools, np.where(known < 0, 0, known - ordinals))
+    _insert_rows(lane, packed, partitions, last_rows, ordinals, own)
     lane.tails.insert(partitions, saved.tables["tails"])
     lane.state = _with_pools(lane.state, at, pools, partitions, header["due_us"])
+    for place, each in enumerate(lane.members):
+        if each.begins_us is not None:
+            lane.state = _begun(lane.state, place, lane.keys.count, each.begins_us)
+
+
+def _renumber_rows(pools: dict[str, Integers], more: Integers) -> None:
+    """Adds to the numbers of the rows that each partition's records speak of: other rules counted from another row."""
+    if not more.any():
+        return
+    cells, attempts, threads, traces = (pools[name] for name in ("cells", "attempts", "threads", "traces"))
+    of_cells = more[cells[:, k.C_PARTITION]]
+    cells[:, k.C_RESUME] += of_cells
+    of_attempts = _reached(len(attempts), (cells[:, k.C_FIRST], of_cells), attempts[:, k.A_NEXT])
+    attempts[:, [k.A_ORDINAL, k.E_ORDINAL]] += of_attempts[:, None]
+    of_threads = _reached(len(threads), (attempts[:, k.A_THREAD], of_attempts), threads[:, k.T_NEXT])
+    has_ending = attempts[:, k.E_THREAD] >= 0
+    of_threads[attempts[has_ending, k.E_THREAD]] = of_attempts[has_ending]
+    traces[:, k.X_ORDINAL] += _reached(len(traces), (threads[:, k.T_TRACE], of_threads), traces[:, k.X_PARENT])
+
+
+def _reached(count: int, roots: tuple[Integers, Integers], following: Integers) -> Integers:
+    """What the roots say, for each record on the way from them; -1 is no record."""
+    said = np.zeros(count, dtype=np.int64)
+    records, values = roots
+    while len(records):
+        is_there = records >= 0
+        records, values = records[is_there], values[is_there]
+        said[records] = values
+        records = following[records]
+    return said
 
 
 def _insert_rows(
@@ -314,10 +355,29 @@ def _insert_rows(
     known, mine = partitions[~is_new], moved[~is_new]
     first = k.R_BITS + layout.words
     held = state.last_rows[known]
-    held[:, k.R_NULLS : first] |= mine[:, k.R_NULLS : first]
-    columns = [first + layout.slots[slot] for slot in packed.slots]
-    held[:, columns] = mine[:, columns]
+    held[:, k.R_BITS : first] |= mine[:, k.R_BITS : first]
+    said = {slot for member in lane.members[:-1] for slot in member.packed.slots}
+    for slot in packed.slots:
+        number = layout.slots[slot]
+        bit = np.int64(1) << number
+        # A rule that came from the general matcher says NULL of a row that others know.
+        is_mine = mine[:, k.R_NULLS] & bit == 0 if slot in said else np.ones(len(mine), dtype=np.bool_)
+        held[is_mine, first + number] = mine[is_mine, first + number]
+        held[is_mine, k.R_NULLS] = (held[is_mine, k.R_NULLS] & ~bit) | (mine[is_mine, k.R_NULLS] & bit)
     state.last_rows[known] = held
+
+
+def _begun(state: State, rule: int, partitions: int, begins_us: int) -> State:
+    """The state in which the rule begins no match at rows before this time, which others of the lane remember."""
+    is_open = (state.last_ordinals[:partitions] >= 0) & (state.last_rows[:partitions, k.R_TIME] < begins_us)
+    is_open[state.cells[state.cells[:, k.C_RULE] == rule, k.C_PARTITION]] = False
+    begun = np.flatnonzero(is_open)
+    cells = np.zeros((len(begun), k.C_WIDTH), dtype=np.int64)
+    cells[:, k.C_RULE], cells[:, k.C_PARTITION], cells[:, k.C_NEXT] = rule, begun, state.first_cells[begun]
+    cells[:, k.C_FIRST] = cells[:, k.C_LAST] = -1
+    cells[:, k.C_RESUME] = state.last_ordinals[begun] + 1
+    state.first_cells[begun] = len(state.cells) + np.arange(len(begun))
+    return state._replace(cells=np.concatenate((state.cells, cells)))
 
 
 def _with_pools(state: State, rule: int, pools: dict[str, Integers], partitions: Integers, due_us: int) -> State:
@@ -351,7 +411,8 @@ def _with_pools(state: State, rule: int, pools: dict[str, Integers], partitions:
 # Bytes.
 
 
-def _table(integers: Integers) -> pa.Table:
+def table_of(integers: Integers) -> pa.Table:
+    """The integers as columns."""
     columns = [_narrowed(np.ascontiguousarray(integers[:, at])) for at in range(integers.shape[1])]
     return pa.table([pa.array(column) for column in columns], names=[str(at) for at in range(len(columns))])
 
@@ -364,7 +425,8 @@ def _narrowed(column: Integers) -> NDArray[np.signedinteger[Any]]:
     return column if width is None else column.astype(width.dtype)
 
 
-def _integers(table: pa.Table) -> Integers:
+def integers_of(table: pa.Table) -> Integers:
+    """The columns as integers."""
     integers = np.empty((table.num_rows, table.num_columns), dtype=np.int64)
     for at in range(table.num_columns):
         integers[:, at] = table.column(at).to_numpy()
@@ -387,7 +449,12 @@ def _stream(table: pa.Table) -> bytes:
     return encoded
 
 
-def _decoded(state: bytes) -> Saved:
+def decoded(state: bytes) -> Saved:
+    """The state from its bytes.
+
+    Raises:
+        StateError: They are not a saved state, or of another layout.
+    """
     if not state.startswith(MAGIC):
         raise StateError(
             f"a saved state of this version begins with {MAGIC!r}, got {state[:4]!r}. "

@@ -165,8 +165,8 @@ class RowEvaluator(ColumnEvaluator):
         crossed, is_unknown = np.zeros(len(is_finite), dtype=bool), np.zeros(len(is_finite), dtype=bool)
         for line in self.places.lines_named(expr.line):
             is_here = self.is_from(line.source)
-            asked = is_here & is_finite
-            is_unknown |= is_here & ~is_finite
+            asked = is_here & is_finite if self.places.is_known(line) else np.zeros_like(is_here)
+            is_unknown |= is_here & ~asked
             if not asked.any():
                 continue
             x0, y0, x1, y1 = values if asked.all() else [value[asked] for value in values]

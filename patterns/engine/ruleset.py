@@ -23,7 +23,7 @@ from events import EventType
 from patterns.binding.bound import BoundRule
 from patterns.binding.rows import Units, check_envelope, newest_of_units, with_envelope_encoded
 from patterns.engine.running import Counts, Outcome, Rows, RuleRun, as_table, wall_us
-from patterns.errors import MatchError, PatternError
+from patterns.errors import MatchError, PatternError, StateError
 from patterns.scene.site import Site
 
 if TYPE_CHECKING:
@@ -89,6 +89,7 @@ class RuleSetRun:
         self._clock = clock
         self._is_strict = is_strict
         self._alone: dict[str, RuleRun] = {}
+        self._stays_alone: set[str] = set()
         self._lanes: list[Lane] = []
         self._lane_of: dict[str, Lane] = {}
         self._names: dict[str, None] = {}
@@ -127,11 +128,11 @@ class RuleSetRun:
         name = name or bound.rule.rule
         if name in self._names:
             raise PatternError(f"the set has a rule {name} already. Next: remove it, or add this one by another name")
-        packed = self._packed(bound, state)
+        packed = self._packed(bound)
         if packed is None:
             self._add_alone(name, bound, state)
         else:
-            self._add_to_lane(name, packed, state)
+            self._add_to_lane(name, packed, None if state is None else _for_kernel(packed, state))
         self.failures.pop(name, None)
         self._names[name] = None
         self._spent_s[name] = 0.0
@@ -145,6 +146,19 @@ class RuleSetRun:
         if self.failures.pop(name, None) is None:
             self._check_has(name)
             self._drop(name)
+
+    def use_kernel(self) -> None:
+        """Rules that came before the kernel was compiled go on on it, if it is by now and can express them."""
+        waiting = [name for name in self._alone if name not in self._stays_alone]
+        if self._uses_kernel is not None or not waiting or not self._may_use_kernel:
+            return
+        for name in waiting:
+            packed = self._packed(self._alone[name].bound)
+            if packed is None:
+                self._stays_alone.add(name)
+                continue
+            self._add_to_lane(name, packed, _for_kernel(packed, self._alone[name].state()))
+            del self._alone[name]
 
     def state(self, name: str) -> bytes:
         """All that the rule remembers; `add` goes on from it.
@@ -329,6 +343,7 @@ class RuleSetRun:
         del self._names[name], self._spent_s[name]
         if name in self._alone:
             del self._alone[name]
+            self._stays_alone.discard(name)
             return
         lane = self._lane_of.pop(name)
         lane.drop(name)
@@ -343,10 +358,9 @@ class RuleSetRun:
             return is_compiled()
         return self._uses_kernel
 
-    def _packed(self, bound: BoundRule, state: bytes | None) -> "Packed | None":
-        """The rule for the kernel; None: it runs alone. A state goes on where it was made."""
-        is_of_kernel = state is not None and state.startswith(KERNEL_STATE)
-        if not is_of_kernel and (state is not None or not self._may_use_kernel):
+    def _packed(self, bound: BoundRule) -> "Packed | None":
+        """The rule for the kernel; None: it runs alone."""
+        if not self._may_use_kernel:
             return None
         from patterns.engine.packed import NotPacked, pack
 
@@ -383,7 +397,7 @@ class RuleSetRun:
     def _add_alone(self, name: str, bound: BoundRule, state: bytes | None) -> None:
         run = RuleRun(bound, is_strict=self._is_strict)
         if state is not None:
-            run.restore(state)
+            run.restore(_for_general(bound, state))
         else:
             run.know(self._site)
         self._alone[name] = run
@@ -401,6 +415,26 @@ def merged(parts: Iterable[Mapping[str, Outcome]]) -> Outcomes:
         for name, outcome in part.items():
             whole[name] = whole[name] + outcome if name in whole else outcome
     return whole
+
+
+def _for_kernel(packed: "Packed", state: bytes) -> bytes:
+    """The state as one of a rule on the kernel."""
+    from patterns.engine.moving import moved_to_kernel
+
+    return state if state.startswith(KERNEL_STATE) else moved_to_kernel(packed, state)
+
+
+def _for_general(bound: BoundRule, state: bytes) -> bytes:
+    """The state as one of a rule on the general matcher."""
+    if not state.startswith(KERNEL_STATE):
+        return state
+    from patterns.engine.moving_back import moved_from_kernel
+    from patterns.engine.packed import NotPacked, pack
+
+    try:
+        return moved_from_kernel(pack(bound), state)
+    except NotPacked as error:
+        raise StateError(f"the saved state is of the kernel, which does not run the rule any more: {error}") from error
 
 
 def _pushed(run: RuleRun, rows: Rows) -> Outcome:

@@ -63,10 +63,10 @@ def decode(state: bytes) -> Saved:
 def partitions_to_json(engine: Engine) -> list[Any]:
     """All that the engine remembers."""
     more = engine.bound.is_numbered or engine.ahead is not None
-    return [_partition_to_json(key, state, more=more) for key, state in engine.open.items()]
+    return [partition_to_json(key, state, more=more) for key, state in engine.open.items()]
 
 
-def _partition_to_json(key: tuple[Any, ...], state: Open, *, more: bool) -> list[Any]:
+def partition_to_json(key: tuple[Any, ...], state: Open, *, more: bool = False) -> list[Any]:
     """What is remembered of the partition; `more`: what it counts, and which rows wait, too."""
     partition = state.partition
     attempts = [_attempt_to_json(attempt) for attempt in partition.attempts]

@@ -66,16 +66,16 @@ class Tails:
         return pa.table(said)
 
     def insert(self, partitions: Integers, saved: pa.Table) -> None:
-        """Remembers what `table` gave for partitions that nothing is remembered of."""
+        """Remembers what `table` gave, beside what is remembered; of one row both say the same."""
         if self.reach == 0 or saved.num_columns == 0:
             return
         counts = np.minimum(saved.column("@count").to_numpy(), self.reach)
-        is_new = self.counts[partitions] == 0
-        self.counts[partitions[is_new]] = counts[is_new]
-        for name in self.kinds:
-            for age in range(self.reach):
+        self.counts[partitions] = np.maximum(self.counts[partitions], counts)
+        for age in range(self.reach):
+            rows = np.flatnonzero(counts > age)
+            for name in self.kinds:
                 if f"{age}/{name}" in saved.column_names:
-                    self._write(name, partitions, age, saved.column(f"{age}/{name}").combine_chunks(), None)
+                    self._write(name, partitions[rows], age, saved.column(f"{age}/{name}").combine_chunks(), rows)
 
     def before(
         self, rows: pa.Table, partitions: Integers, bounds: Integers, order: Integers, names: Sequence[str]
@@ -112,9 +112,8 @@ class Tails:
                 self._write(name, there, age, arrived.table.column(name).combine_chunks(), taken)
             rows = np.where(is_there, arrived.before[rows], -1)
 
-    def _write(self, name: str, partitions: Integers, age: int, column: Any, rows: Integers | None) -> None:
+    def _write(self, name: str, partitions: Integers, age: int, column: Any, rows: Integers) -> None:
         kind = self.kinds[name]
-        rows = np.arange(len(column)) if rows is None else rows
         if kind is Kind.STRING or column.null_count:
             column = column.take(pa.array(rows))
             self.is_null[name][partitions, age] = np.asarray(column.is_null())

@@ -16,6 +16,7 @@ from pydantic import BaseModel, ValidationError
 from yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
 
 from patterns.errors import RuleError
+from patterns.files.complaints import in_words
 from patterns.files.lists import file_values, is_file
 from patterns.files.rule import Rule
 from patterns.files.template import filled_in
@@ -251,8 +252,7 @@ def _pointed(error: ValidationError, passages: Mapping[KeyPath, Passage], whole:
     complaints = error.errors(include_url=False)
     # A misspelt key is two complaints, of which the unknown key says more than the missing one.
     first = next((each for each in complaints if each["type"] == "extra_forbidden"), complaints[0])
-    message = str(first["msg"]).removeprefix("Value error, ")
-    location = tuple(str(part) for part in first["loc"])
+    location, message = in_words(first)
     shown = ".".join(part for part in location if not any(sign in part for sign in "[(")) or whole.__name__.lower()
     if first["type"] == "extra_forbidden":
         known = _known_keys(location, whole)
@@ -260,8 +260,6 @@ def _pointed(error: ValidationError, passages: Mapping[KeyPath, Passage], whole:
         location = (*location, "[key]")
     elif first["type"] == "missing":
         message = "this key is missing" + ("; write SQL there, or name a template" if location == ("match",) else "")
-    elif first["type"] != "value_error" and isinstance(first["input"], str | int | float):
-        message += f", got {first['input']!r}"
     for length in range(len(location), -1, -1):
         if location[:length] in passages:
             return passages[location[:length]].error(f"{shown}: {message}", 0)

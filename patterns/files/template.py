@@ -257,8 +257,10 @@ def _fits(parameter: Parameter, value: Any) -> bool:
         case "share":
             return is_number and 0 <= value <= 1
         case "length" | "speed" | "pixels" | "pixel speed":
-            has_unit = isinstance(value, str) and is_quantity(value)
-            return has_unit and parse_quantity(value).base_unit == _BASE_UNITS[parameter.kind]
+            if not isinstance(value, str) or not is_quantity(value):
+                return False
+            quantity = parse_quantity(value)
+            return quantity.base_unit == _BASE_UNITS[parameter.kind] and quantity.value >= 0
         case "texts":
             is_file = isinstance(value, Mapping) and set(value) == {"file"}
             return is_file or (isinstance(value, list) and bool(value) and all(isinstance(each, str) for each in value))

@@ -30,7 +30,7 @@ REPETITIONS_MOST = 10_000
 DEPTH_MOST = 100
 
 _SPACE = re.compile(r"(?:\s|--[^\n]*(?:\n|$)|/\*.*?\*/)*", re.DOTALL)
-_NAME = re.compile(r'[A-Za-z_][A-Za-z0-9_]*|"(?:[^"]|"")+"')
+_NAME = re.compile(r'[^\W\d]\w*|"(?:[^"]|"")+"')
 _BOUNDS = re.compile(r"\{\s*(?:(\d+)\s*(?:(,)\s*(\d+)?\s*)?|,\s*(\d+)?\s*)\}")
 _PERMUTE = re.compile(r"PERMUTE(?=\s*\()", re.IGNORECASE)
 _CLAUSE = re.compile(

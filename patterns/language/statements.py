@@ -79,9 +79,9 @@ def _opening(words: Sequence[Lexeme], closing: int) -> int:
 # The input as a query of its own.
 
 
-def input_of(passage: Passage, words: Sequence[Lexeme], first: int, at: int) -> Statement:
-    """`SELECT * FROM` the input, behind the common table expressions that it can see."""
-    lead = _made("SELECT * FROM", at)
+def input_of(passage: Passage, words: Sequence[Lexeme], first: int, at: int, columns: str = "*") -> Statement:
+    """`SELECT * FROM` the input, or of some of its columns, behind the common table expressions that it can see."""
+    lead = _made(f"SELECT {columns} FROM", at)
     pieces = [lead, *words[first:]]
     for start, end in reversed(_levels(words, first)):
         seen = _common_tables(passage, words, start, end, words[first:])
@@ -97,6 +97,15 @@ def name_of_input(words: Sequence[Lexeme], first: int) -> str | None:
     if words[last].key == ")":
         last = _opening(words, last) - 1
     return words[last].name if last >= first and words[last].is_name else None
+
+
+def without_alias(words: Sequence[Lexeme], first: int) -> Sequence[Lexeme]:
+    """The words without the name that an input in parentheses, which begins with this one, bears behind them."""
+    end = len(words) - 1
+    if words[first].key != "(" or not words[end].is_name:
+        return words
+    end -= words[end - 1].key == "AS"
+    return words[:end] if words[end - 1].key == ")" else words
 
 
 def _made(text: str, at: int) -> Lexeme:

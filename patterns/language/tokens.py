@@ -13,7 +13,7 @@ from sqlglot.tokenizer_core import Token, TokenType
 
 from patterns.language.text import Passage
 
-_IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_$]*")
+_IDENTIFIER = re.compile(r"[^\W\d][\w$]*")
 _CLOSED = re.compile(r"'(?:[^']|'')*'|\"(?:[^\"]|\"\")*\"|--[^\n]*|/\*.*?\*/", re.DOTALL)
 _BLANK = re.compile(r"[^\n]")
 _PATTERN = re.compile(r"\bPATTERN\s*\(", re.IGNORECASE)

@@ -1,7 +1,7 @@
 """Checking a rule without running it: everything that is wrong or looks wrong, with its place."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import pyarrow as pa
 
@@ -20,6 +20,7 @@ from patterns.linting.findings import Finding, finding_of, warning
 from patterns.linting.overlaps import overlaps
 from patterns.linting.pattern_findings import pattern_findings
 from patterns.linting.skips import skip_findings
+from patterns.scene.geometry import Zone
 from patterns.scene.quantities import FACTORS
 from patterns.scene.units import mismatches, units_of
 
@@ -33,6 +34,7 @@ _SPOKEN = {
     **dict.fromkeys(("pixel", "pixels"), "px"),
 }
 """What people write for a unit that is written otherwise here."""
+_SPECK_PX = 2
 _NUMBER_AND_WORD = re.compile(r"\s*[0-9.]+\s*([a-zA-Z]+(?:/[a-zA-Z]+)?)\s*")
 
 
@@ -137,8 +139,8 @@ def _unused(bound: BoundRule) -> list[Finding]:
 
 
 def _slips(rule: Rule) -> list[Finding]:
-    """Texts that look like a number with a unit, and are none."""
-    findings = []
+    """Texts that look like a number with a unit, and are none; shares of the picture that are said to be pixels."""
+    findings = list(_specks(rule))
     for name, value in rule.params.items():
         written = _NUMBER_AND_WORD.fullmatch(value) if isinstance(value, str) else None
         if written is None:
@@ -149,6 +151,19 @@ def _slips(rule: Rule) -> list[Finding]:
             message = f"parameter {name!r} is the text {value!r}, no duration, length or speed{like}"
             findings.append(warning(rule, message, "unit", "params", name))
     return findings
+
+
+def _specks(rule: Rule) -> Iterator[Finding]:
+    """Zones and lines in pixels that lie in the picture's first two: their coordinates are shares."""
+    for kind, shapes in (("zone", rule.zones), ("line", rule.lines)):
+        for name, shape in shapes.items():
+            points = shape.polygon if isinstance(shape, Zone) else shape.points
+            if shape.units == "pixels" and all(-_SPECK_PX <= value <= _SPECK_PX for point in points for value in point):
+                message = (
+                    f"{kind} {name!r} is smaller than {_SPECK_PX} pixels. Next: leave `units: pixels` out, if its "
+                    "coordinates are shares of the picture, 0 to 1"
+                )
+                yield warning(rule, message, "unit", f"{kind}s", name)
 
 
 def _mixed_units(rule: Rule, schemas: Mapping[str, pa.Schema]) -> list[Finding]:

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from patterns.binding.bound import BoundRule
+from patterns.binding.metres import Metres, metres_of
 from patterns.engine.running import Outcome
 from patterns.engine.situations import EventRef, Match
 from patterns.files.rule import Rule
@@ -25,6 +26,8 @@ class Member:
         failure: Why it was set aside.
         failed_at: Position at which that was.
         missed: What it had to go without since that was recorded.
+        metres: Of which sources it asks for metres.
+        uncalibrated: By source that is not calibrated, of how many events it asked for metres.
         pace: How long it takes for an event.
     """
 
@@ -36,11 +39,15 @@ class Member:
     failure: Exception | None = None
     failed_at: int = 0
     missed: Missed = field(init=False)
+    metres: Metres = field(init=False)
+    uncalibrated: dict[str, int] = field(init=False)
     pace: "Pace" = field(default_factory=lambda: Pace())
 
     def __post_init__(self) -> None:
         """Begin with nothing missed."""
         self.missed = Missed(self.rule)
+        self.metres = metres_of(self.bound)
+        self.uncalibrated = dict(self.mark.report.get("uncalibrated", {}))
 
     @property
     def rule(self) -> Rule:
@@ -69,7 +76,9 @@ class Member:
             finding: What it found.
             began_in_time: Whether an event lies before the rule's retirement.
         """
-        matches = [each for each in finding.outcome.matches if each.situation_id not in self.known]
+        matches = list(finding.outcome.matches)
+        if self.known:
+            matches = [each for each in matches if each.situation_id not in self.known]
         gone = self.service.retirement
         if gone is None or finding.position <= gone.position:
             return matches

@@ -18,6 +18,7 @@ import numpy as np
 import pyarrow as pa
 
 from events import (
+    CameraCalibrated,
     Catalogue,
     EventBatch,
     EventType,
@@ -128,6 +129,11 @@ class Pass:
         """All that the rule's run remembers."""
         return self._sets[member.types].state(member.name)
 
+    def use_kernel(self) -> None:
+        """Rules that came before the kernel was compiled go on on it, if it is by now."""
+        for rules in self._sets.values():
+            rules.use_kernel()
+
     def status(self, member: Member) -> RuleStatus:
         """How the rule stands."""
         return self._sets[member.types].status(member.name)
@@ -144,6 +150,7 @@ class Pass:
         """
         findings: list[Finding] = []
         together: list[_Part] = []
+        events = 0
         for segment in segments:
             try:
                 batch = decode(segment, self._catalogue)
@@ -153,15 +160,16 @@ class Pass:
                 continue
             self.events_unsaved += segment.header.event_count
             is_control = batch.type in CONTROL
-            is_full = sum(len(part.rows) for part in together) + len(batch) > self._limits.events_together
+            is_full = events + len(batch) > self._limits.events_together
             if together and (is_control or is_full or is_one_by_one):
                 findings += self._pushed(together)
-                together = []
+                together, events = [], 0
             if any(segment.stream.type in types for types in self._sets):
                 together.append(_Part(segment, batch.type, self._believed(segment, batch)))
+                events += len(together[-1])
             if is_control:
                 findings += self._pushed(together)
-                together = []
+                together, events = [], 0
                 self.position = segment.position
                 findings += self._controlled(segment, batch)
         findings += self._pushed(together)
@@ -190,8 +198,28 @@ class Pass:
                 raise RunOneByOne(parts[-1].segment.position)
             for part, outcome in zip(own, outcomes, strict=True):
                 self.position = part.segment.position
+                self._note_uncalibrated(types, part)
                 findings += self._findings(outcome, rules)
         return sorted(findings, key=lambda each: (each.position, each.member.service.key))
+
+    def _note_uncalibrated(self, types: frozenset[str], part: "_Part") -> None:
+        """Counts for the rules that ask metres of a segment's events what they could not be told."""
+        asking = [each for each in self.members.values() if each.types == types and each.metres.is_asked]
+        source = str(part.segment.stream.source)
+        said = [event for event, stream, _ in self._site.values() if stream.split("/")[1] == source] if asking else []
+        is_calibrated = any(isinstance(event, CameraCalibrated) for event in said)
+        in_metres = [event.zone for event in said if isinstance(event, ZoneDefined) and event.units == "metres"]
+        for member in asking:
+            if is_calibrated:
+                member.uncalibrated.pop(source, None)
+            elif len(part) and member.failure is None and member.metres.asks(source, in_metres):
+                if source not in member.uncalibrated:
+                    logger.warning(
+                        "rule %s version %d asks for metres of source %s, which is not calibrated: it finds none. "
+                        "Next: vian zones calibrate %s POINTS.yaml, or leave the source out in the rule's FROM",
+                        member.rule.rule, member.rule.version, source, source,
+                    )  # fmt: skip
+                member.uncalibrated[source] = member.uncalibrated.get(source, 0) + len(part)
 
     def _columns_of(self, types: frozenset[str]) -> frozenset[str] | None:
         """The columns that the rules of a set read; None: they may read any."""
@@ -370,7 +398,9 @@ def _spread(texts: Sequence[str], bounds: Sequence[int]) -> pa.DictionaryArray:
     """A column with one text for each unit's rows."""
     numbers = {text: number for number, text in enumerate(dict.fromkeys(texts))}
     of_units = np.array([numbers[text] for text in texts], dtype=np.int32)
-    return pa.DictionaryArray.from_arrays(pa.array(np.repeat(of_units, np.diff(bounds))), pa.array(list(numbers)))
+    return pa.DictionaryArray.from_arrays(
+        pa.array(np.repeat(of_units, np.diff(bounds))), pa.array(list(numbers), pa.string())
+    )
 
 
 def site_at(log: Log, position: int) -> list[SiteEvent]:

@@ -19,11 +19,12 @@ class Report:
     Attributes:
         service: How the log says it stands.
         state: In one word: runs, shadow, finishes, retired, failed, too_slow.
-        position: Position up to which it has seen the log and that is kept: where it would go on.
+        position: Position up to which all that it found is in the log.
         lag: Segments of the log behind that; 0 for one out of service.
         watermark: No event before this time was still expected when it was saved; None: nothing was known.
         counts: What it had seen, found and still remembered when it was saved.
         missed: By kind, what it went without in this version.
+        uncalibrated: By source that is not calibrated, of how many events it asked for metres, until it was saved.
     """
 
     service: Service
@@ -33,6 +34,7 @@ class Report:
     watermark: datetime | None
     counts: dict[str, Any] = field(default_factory=dict)
     missed: dict[str, int] = field(default_factory=dict)
+    uncalibrated: dict[str, int] = field(default_factory=dict)
 
 
 def reports(log: Log, station: str) -> list[Report]:
@@ -49,7 +51,8 @@ def _report(log: Log, station: str, head: int, service: Service, missed: dict[st
     state = _state(service, is_done=mark.is_done)
     counts = dict(mark.report)
     watermark = counts.pop("watermark", None)
-    position = max(mark.saved, service.after)
+    uncalibrated = counts.pop("uncalibrated", {})
+    position = max(mark.position, service.after)
     return Report(
         service=service,
         state=state,
@@ -58,6 +61,7 @@ def _report(log: Log, station: str, head: int, service: Service, missed: dict[st
         watermark=None if watermark is None else datetime.fromisoformat(watermark),
         counts=counts,
         missed=missed,
+        uncalibrated=uncalibrated,
     )
 
 

@@ -5,8 +5,8 @@ a guard over the values of the row at hand and the registers. Guards compare and
 DuckDB would; for everything else they ask DuckDB, once for each combination of values.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, NoReturn
 
 import numpy as np
@@ -29,35 +29,31 @@ from patterns.language.navigation import (
 from patterns.language.syntax import Scalar
 from patterns.querying.duck import Aggregated, Remembered, sql_of
 from patterns.querying.ordered import OrderedRows
+from patterns.querying.plain import (
+    STRICT_FUNCTIONS,
+    TIMES,
+    WHOLE,
+    NotAlike,
+    Plain,
+    common_number,
+    number_as,
+    operands,
+    plain,
+)
 from patterns.querying.symbols import Symbols
+from patterns.querying.values import compared, values_of
 
 _COMPARED: dict[type[exp.Expr], Callable[[Any, Any], bool]] = {
     exp.EQ: lambda left, right: left == right, exp.NEQ: lambda left, right: left != right,
     exp.LT: lambda left, right: left < right, exp.LTE: lambda left, right: left <= right,
     exp.GT: lambda left, right: left > right, exp.GTE: lambda left, right: left >= right,
 }  # fmt: skip
-_ADDED: dict[type[exp.Expr], Callable[[Any, Any], Any]] = {
-    exp.Add: lambda left, right: left + right, exp.Sub: lambda left, right: left - right,
-    exp.Mul: lambda left, right: left * right,
-}  # fmt: skip
 _STRICT: tuple[type[Any], ...] = (
     exp.Column, exp.Identifier, exp.Paren, exp.Neg, exp.Literal, exp.Interval, exp.Var, exp.IntervalSpan,
-    *_COMPARED, *_ADDED,
+    exp.Add, exp.Sub, exp.Mul, exp.Div, exp.IntDiv, exp.Mod, *_COMPARED,
 )  # fmt: skip
-_WHOLE = frozenset(("TINYINT", "SMALLINT", "INTEGER", "BIGINT", "UTINYINT", "USMALLINT", "UINTEGER", "UBIGINT",
-                    "HUGEINT", "UHUGEINT"))  # fmt: skip
-_PLAIN = frozenset((*_WHOLE, "DOUBLE", "FLOAT", "VARCHAR", "DATE", "TIMESTAMP", "TIME", "BOOLEAN",
-                    "TIMESTAMP WITH TIME ZONE"))  # fmt: skip
-_EQUAL_TYPES = {("int", "float"), ("float", "int"), ("int", "Decimal"), ("Decimal", "int")}
+_PLAIN = frozenset((*WHOLE, *TIMES, "DOUBLE", "FLOAT", "VARCHAR", "DATE", "TIME", "BOOLEAN"))
 _NUMBER_NAME = "match_number"
-
-
-@dataclass(frozen=True, slots=True)
-class Nested:
-    """A list, a struct or a map: compared and hashed by how it is written."""
-
-    value: Any = field(compare=False)
-    written: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +68,7 @@ class Conditions:
         number: The register of the match's number, after the others; None: nobody asks for it.
         leaves: Expressions over the input's columns, and how many rows further on they are read.
         slots: Expressions over the leaves, which registers and guards read.
+        places: Where predicates, leaves and slots were written first, by their text.
     """
 
     predicates: tuple[tuple[str, ...], ...]
@@ -81,6 +78,7 @@ class Conditions:
     number: int | None
     leaves: tuple[tuple[str, int], ...]
     slots: tuple[str, ...]
+    places: Mapping[str, int]
 
     def evaluated(self, symbols: Symbols, rows: OrderedRows) -> tuple[list[NDArray[np.bool_]], list[tuple[Any, ...]]]:
         """For each variable the rows whose predicates hold, and for each row the values of the slots.
@@ -90,19 +88,26 @@ class Conditions:
         """
         table = self.leaf_table(symbols, rows)
         asked = list(dict.fromkeys(each for every in self.predicates for each in every))
-        answers = symbols.duck.columns(table, [f"coalesce(({each}), false)" for each in asked])
+        answers = self.columns(symbols, table, asked, "coalesce(({}), false)")
         truths = {each: np.asarray(answer, dtype=bool) for each, answer in zip(asked, answers, strict=True)}
         true = np.ones(rows.table.num_rows, dtype=bool)
         able = [np.logical_and.reduce([true, *(truths[each] for each in every)]) for every in self.predicates]
-        slots = [values_of(column) for column in symbols.duck.columns(table, self.slots)]
+        slots = [values_of(column) for column in self.columns(symbols, table, self.slots)]
         return able, list(zip(*slots, strict=True)) if slots else [()] * rows.table.num_rows
 
     def leaf_table(self, symbols: Symbols, rows: OrderedRows) -> pa.Table:
         """The leaves as columns."""
         texts = list(dict.fromkeys(text for text, _ in self.leaves))
-        known = dict(zip(texts, symbols.duck.columns(rows.table, texts), strict=True))
+        known = dict(zip(texts, self.columns(symbols, rows.table, texts), strict=True))
         columns = {f"r{index}": rows.shifted(known[text], shift) for index, (text, shift) in enumerate(self.leaves)}
         return pa.table({"rows": pa.array(np.arange(rows.table.num_rows)), **columns})
+
+    def columns(
+        self, symbols: Symbols, table: pa.Table, texts: Sequence[str], form: str = "{}"
+    ) -> list[pa.ChunkedArray]:
+        """The expressions, each in this form, over the table."""
+        wanted = [form.format(text) for text in texts]
+        return symbols.evaluated(table, wanted, "DEFINE", [self.places[text] for text in texts])
 
 
 def conditions_of(symbols: Symbols) -> Conditions:
@@ -116,14 +121,6 @@ def conditions_of(symbols: Symbols) -> Conditions:
     for index, variable in enumerate(symbols.variables):
         builder.define(index, defines.get(variable))
     return builder.built()
-
-
-def values_of(column: pa.ChunkedArray) -> list[Any]:
-    """The column as Python values that can be compared and hashed."""
-    values: list[Any] = column.to_pylist()
-    if pa.types.is_nested(column.type):
-        return [None if value is None else Nested(value, repr(value)) for value in values]
-    return values
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,6 +145,7 @@ class _Builder:
         self.registers: dict[Register, int] = {}
         self.places: dict[str, _Place] = {}
         self.needs_number = False
+        self.written: dict[str, int] = {}
         self.predicates: list[tuple[str, ...]] = []
         self.guards: list[Guard | None] = []
         self.reads: list[frozenset[int]] = []
@@ -156,6 +154,7 @@ class _Builder:
         return Conditions(
             tuple(self.predicates), tuple(self.guards), tuple(self.reads), tuple(self.registers),
             len(self.registers) if self.needs_number else None, tuple(self.leaves), tuple(self.slots),
+            self.written,
         )  # fmt: skip
 
     def define(self, variable: int, scalar: Scalar | None) -> None:
@@ -174,7 +173,7 @@ class _Builder:
             is_row_local = all(name in self.leaf_types for name in _names(part))
             (predicates if is_row_local else dependent).append(part)
         whole = [self.lifted(part) for part in dependent]
-        self.predicates.append(tuple(sql_of(part) for part in predicates))
+        self.predicates.append(tuple(self.text(part) for part in predicates))
         self.reads.append(frozenset(at for part in whole for name in _names(part) for at in self.place(name).registers))
         self.guards.append(guards.every([self.compiled(part) for part in whole]) if whole else None)
 
@@ -267,7 +266,7 @@ class _Builder:
     def leaf(self, operand: exp.Expr, shift: int) -> exp.Expr:
         """The name of the operand's value at a row so many rows further on."""
         resolved = self.symbols.over_columns(operand, "DEFINE", self.scalar.at)
-        key = (sql_of(resolved), shift)
+        key = (self.text(resolved), shift)
         if key not in self.leaves:
             name = f"r{len(self.leaves)}"
             self.leaf_types[name] = self.symbols.check_types("DEFINE", self.scalar, resolved, self.symbols.types)
@@ -275,7 +274,13 @@ class _Builder:
         return exp.column(self.leaves[key])
 
     def slot(self, expression: exp.Expr) -> int:
-        return self.slots.setdefault(sql_of(expression), len(self.slots))
+        return self.slots.setdefault(self.text(expression), len(self.slots))
+
+    def text(self, expression: exp.Expr) -> str:
+        """The expression in SQL; where it was written is remembered."""
+        found = sql_of(expression)
+        self.written.setdefault(found, self.scalar.at)
+        return found
 
     def remembered(self, reading: RowReading) -> exp.Expr:
         leaf = self.leaf(reading.operand, reading.shift)
@@ -369,11 +374,13 @@ class _Builder:
         given = self.symbols.check_types("DEFINE", self.scalar, call, kinds | number)
         ask = Aggregated(self.symbols.duck, sql_of(call), kinds | number)
         indices = [index for index, _ in lists]
+        at = self.scalar.at
 
         def read(values: Sequence[Any], registers: Sequence[Any]) -> Any:
             number = registers[-1] if self.needs_number else 0
-            columns = [[_plain(value) for value in listed(registers[at])] for at in indices]
-            return ask([*columns, [number] * len(columns[0])])
+            columns = [listed(registers[index]) for index in indices]
+            with self.symbols.placed("DEFINE", at):
+                return ask([*columns, [number] * len(columns[0])])
 
         return self.new_place(_Place(given, read, frozenset(indices)))
 
@@ -395,7 +402,7 @@ class _Builder:
             kind = self.symbols.check_types("DEFINE", self.scalar, node, self.types())
             return self.new_place(_Place(kind, _read_slot(slot)))
         anchors = {self.places[name].anchor if name in self.places else None for name in names}
-        if len(anchors) == 1 and None not in anchors and all(isinstance(part, _STRICT) for part in node.walk()):
+        if len(anchors) == 1 and None not in anchors and all(_is_strict(part) for part in node.walk()):
             leaf = node.transform(self.as_leaf)
             kind = self.symbols.check_types("DEFINE", self.scalar, leaf, self.types())
             (anchor,) = anchors
@@ -432,15 +439,55 @@ class _Builder:
             return guards.some([self.compiled(exp.EQ(this=node.this.copy(), expression=item.copy()))
                          for item in node.expressions])  # fmt: skip
         if type(node) in _COMPARED:
-            below = self.compiled(node.this), self.compiled(node.expression)
-            return _comparison(_COMPARED[type(node)], *below, self.asked(node))
-        if type(node) in _ADDED and self.is_plain_arithmetic(node):
-            return _arithmetic(_ADDED[type(node)], self.compiled(node.this), self.compiled(node.expression))
-        return self.asked(node)
+            left, right = self.comparable([node.this, node.expression])
+            return _comparison(_COMPARED[type(node)], left, right, self.asked(node))
+        if isinstance(node, exp.Case) and node.this is None and self.has_one_type(node):
+            return self.case(node)
+        return self.computed(node)
 
-    def is_plain_arithmetic(self, node: exp.Expr) -> bool:
-        kinds = self.symbols.duck.types([sql_of(node.this), sql_of(node.expression)], self.types())
-        return all(kind in _WHOLE for kind in kinds) or all(kind == "DOUBLE" for kind in kinds)
+    def kinds(self, nodes: Sequence[exp.Expr]) -> list[str]:
+        return self.symbols.duck.types([sql_of(node) for node in nodes], self.types())
+
+    def comparable(self, nodes: Sequence[exp.Expr]) -> list[Guard]:
+        """What is compared; of numbers of several types, as DuckDB makes one type of them."""
+        kinds = self.kinds(nodes)
+        common = common_number(kinds)
+        below = []
+        for node, kind in zip(nodes, kinds, strict=True):
+            guard = self.compiled(node)
+            make = number_as(kind, common) if common is not None and kind.startswith("DECIMAL") else None
+            below.append(guard if make is None else _applied(Plain(make), [guard], guard))
+        return below
+
+    def has_one_type(self, case: exp.Case) -> bool:
+        """Whether each branch has the type that CASE has, so that none is converted."""
+        branches = [part.args["true"] for part in case.args["ifs"]]
+        default = case.args.get("default")
+        return len(set(self.kinds([case, *branches, *([] if default is None else [default])]))) == 1
+
+    def case(self, node: exp.Case) -> Guard:
+        branches = [(self.compiled(part.this), self.compiled(part.args["true"])) for part in node.args["ifs"]]
+        default = node.args.get("default")
+        otherwise = guards.constant(None) if default is None else self.compiled(default)
+
+        def chosen(values: Sequence[Any], registers: Sequence[Any]) -> Any:
+            for condition, value in branches:
+                if condition(values, registers) is True:
+                    return value(values, registers)
+            return otherwise(values, registers)
+
+        return chosen
+
+    def computed(self, node: exp.Expr) -> Guard:
+        """What Python computes as DuckDB does; else what DuckDB says."""
+        parts = operands(node)
+        if not parts:
+            return self.asked(node)
+        *kinds, given = self.kinds([*parts, node])
+        known = plain(node, kinds, given)
+        if known is None:
+            return self.asked(node)
+        return _applied(known, [self.compiled(part) for part in parts], self.asked(node))
 
     def asked(self, node: exp.Expr) -> Guard:
         """What DuckDB says of the node, for these values."""
@@ -449,7 +496,13 @@ class _Builder:
         kinds = {name: place.kind for name, place in zip(names, places, strict=True)}
         ask = Remembered(self.symbols.duck, sql_of(node), kinds)
         reads = [place.read for place in places]
-        return lambda values, registers: ask([_plain(read(values, registers)) for read in reads])
+        at = self.scalar.at
+
+        def answer(values: Sequence[Any], registers: Sequence[Any]) -> Any:
+            with self.symbols.placed("DEFINE", at):
+                return ask([read(values, registers) for read in reads])
+
+        return answer
 
     def fail(self, message: str, node: exp.Expr) -> NoReturn:
         raise self.symbols.clause.passage.error(f"DEFINE: {message}", offset_of(node, self.scalar.at))
@@ -490,8 +543,8 @@ def _can_keep_up(name: str, kind: str) -> bool:
     if name in ("MIN", "MAX"):
         return kind in _PLAIN or kind.startswith("DECIMAL")
     if name == "SUM":
-        return kind in _WHOLE or kind == "DOUBLE" or kind.startswith("DECIMAL")
-    return name in ("AVG", "MEAN") and (kind in _WHOLE or kind == "DOUBLE")
+        return kind in WHOLE or kind == "DOUBLE" or kind.startswith("DECIMAL")
+    return name in ("AVG", "MEAN") and (kind in WHOLE or kind == "DOUBLE")
 
 
 def _read_slot(slot: int) -> Guard:
@@ -502,10 +555,6 @@ def _average(total: int, count: int) -> Guard:
     return lambda values, registers: None if not registers[count] else registers[total] / registers[count]
 
 
-def _plain(value: Any) -> Any:
-    return value.value if isinstance(value, Nested) else value
-
-
 def _negation(part: Guard) -> Guard:
     def negated(values: Sequence[Any], registers: Sequence[Any]) -> Any:
         value = part(values, registers)
@@ -514,31 +563,33 @@ def _negation(part: Guard) -> Guard:
     return negated
 
 
+def _is_strict(node: exp.Expr) -> bool:
+    """Whether the node is NULL where a part of it is, and fails for no value."""
+    return isinstance(node, _STRICT) or function_name(node) in STRICT_FUNCTIONS
+
+
 def _comparison(compare: Callable[[Any, Any], bool], left: Guard, right: Guard, ask: Guard) -> Guard:
-    def compared(values: Sequence[Any], registers: Sequence[Any]) -> Any:
+    def holds(values: Sequence[Any], registers: Sequence[Any]) -> Any:
         first = left(values, registers)
         second = right(values, registers)
         if first is None or second is None:
             return None
-        return compare(first, second) if _compares_alike(first, second) else ask(values, registers)
+        answer = compared(compare, first, second)
+        return ask(values, registers) if answer is None else answer
 
-    return compared
-
-
-def _compares_alike(first: Any, second: Any) -> bool:
-    """Whether Python compares the values as DuckDB does."""
-    kinds = type(first), type(second)
-    if kinds[0] is not kinds[1]:
-        return (kinds[0].__name__, kinds[1].__name__) in _EQUAL_TYPES and first == first and second == second
-    if kinds[0] is float:
-        return bool(first == first and second == second)
-    return not isinstance(first, Nested)
+    return holds
 
 
-def _arithmetic(operator: Callable[[Any, Any], Any], left: Guard, right: Guard) -> Guard:
+def _applied(known: Plain, below: Sequence[Guard], ask: Guard) -> Guard:
+    """The operator over the parts' values; where Python cannot say, what DuckDB says."""
+
     def computed(values: Sequence[Any], registers: Sequence[Any]) -> Any:
-        first = left(values, registers)
-        second = right(values, registers)
-        return None if first is None or second is None else operator(first, second)
+        found = [part(values, registers) for part in below]
+        if None in found and not known.takes_null:
+            return None
+        try:
+            return known.operator(*found)
+        except (ArithmeticError, ValueError, NotAlike):
+            return ask(values, registers)
 
     return computed

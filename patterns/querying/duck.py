@@ -14,6 +14,7 @@ from sqlglot import exp
 
 from patterns.errors import LimitError, MatchError
 from patterns.language.dialect import ClauseDialect
+from patterns.querying.values import given_back, values_of, written
 
 _NO_AGGREGATES = frozenset(
     ("CUME_DIST", "DENSE_RANK", "FILL", "FIRST", "FIRST_VALUE", "LAG", "LAST", "LAST_VALUE", "LEAD", "NTH_VALUE",
@@ -38,12 +39,18 @@ class Duck:
         """Opens the connection; `questions_most` is the limit `questions`."""
         self.questions_most = questions_most
         self.questions = 0
+        self.names = 0
         self.connection = _instance().cursor()
         self.connection.execute("SET integer_division = true; SET TimeZone = 'UTC'")
 
     def close(self) -> None:
         """Gives the connection back."""
         self.connection.close()
+
+    def new_name(self) -> str:
+        """A name that no prepared statement has yet."""
+        self.names += 1
+        return f"question_{self.names}"
 
     def count_question(self) -> None:
         """Counts one question about a partial match.
@@ -55,7 +62,8 @@ class Duck:
         if self.questions > self.questions_most:
             raise LimitError(
                 f"DEFINE asked DuckDB {self.questions} times about partial matches; the limit `questions` is "
-                f"{self.questions_most}. Use COUNT, SUM, MIN, MAX, AVG, comparisons and sums of columns"
+                f"{self.questions_most}. Next: arithmetic, comparisons, CASE, differences of times, COUNT, SUM, MIN, "
+                "MAX and AVG, which need no question"
             )
 
     def columns(self, table: pa.Table, expressions: Sequence[str]) -> list[pa.ChunkedArray]:
@@ -113,7 +121,7 @@ class Duck:
             duckdb.Error: DuckDB does not take it.
         """
         found = self.connection.execute(f"SELECT {expression} AS c0", params or None)
-        return found.to_arrow_table().column(0)[0].as_py()
+        return values_of(found.to_arrow_table().column(0))[0]
 
 
 class Remembered:
@@ -126,6 +134,7 @@ class Remembered:
         self.query = f"SELECT {expression} AS c0 FROM (SELECT {typed})"
         self.duck = duck
         self.memo: dict[str, Any] = {}
+        self.prepared = ""
 
     def __call__(self, values: Sequence[Any]) -> Any:
         """The expression's value where the columns, in their order, have these.
@@ -144,11 +153,22 @@ class Remembered:
     def evaluated(self, values: Sequence[Any]) -> Any:
         """As called, without looking into the memory."""
         self.duck.count_question()
+        texts = [written(value) for value in values]
         try:
-            found = self.duck.connection.execute(self.query, list(values))
-            return found.to_arrow_table().column(0)[0].as_py()
+            if values and None not in texts:
+                found = self.duck.connection.execute(f"EXECUTE {self.name()}({', '.join(filter(None, texts))})")
+            else:
+                found = self.duck.connection.execute(self.query, [given_back(value) for value in values])
+            return values_of(found.to_arrow_table().column(0))[0]
         except duckdb.Error as error:
             raise MatchError(f"DuckDB: {first_line(error)}") from error
+
+    def name(self) -> str:
+        """The question as a prepared statement, which takes a quarter of the time."""
+        if not self.prepared:
+            self.prepared = self.duck.new_name()
+            self.duck.connection.execute(f"PREPARE {self.prepared} AS {self.query}")
+        return self.prepared
 
 
 class Aggregated:
@@ -169,8 +189,9 @@ class Aggregated:
             MatchError: DuckDB cannot evaluate it.
         """
         self.duck.count_question()
-        rows = pa.table({name: pa.array(values) for name, values in zip(self.names, lists, strict=True)})
-        return self.duck.table(self.query, listed_rows=rows).column(0)[0].as_py()
+        given = [[given_back(value) for value in values] for values in lists]
+        rows = pa.table({name: pa.array(values) for name, values in zip(self.names, given, strict=True)})
+        return values_of(self.duck.table(self.query, listed_rows=rows).column(0))[0]
 
 
 @cache
@@ -204,5 +225,5 @@ def quoted(name: str) -> str:
 
 
 def first_line(error: Exception) -> str:
-    """What DuckDB complains of, without its drawing."""
-    return str(error).split("\n", 1)[0]
+    """What DuckDB complains of, without its drawing and without a column's name, which is ours."""
+    return str(error).split("\n", 1)[0].split(" when casting from source column", 1)[0]

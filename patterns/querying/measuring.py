@@ -73,7 +73,8 @@ class Measures:
 
     def __init__(self, symbols: Symbols) -> None:
         self.symbols = symbols
-        self.columns: dict[str, Reading | None] = {}
+        self.columns: dict[str, Reading] = {}
+        self.places: dict[str, int] = {}
         self.types: dict[str, str] = {}
         self.expressions = [self._taken_apart(measure) for measure in symbols.clause.measures]
         for measure, expression in zip(symbols.clause.measures, self.expressions, strict=True):
@@ -88,13 +89,14 @@ class Measures:
             MatchError: An expression fails.
         """
         reading = _Evaluation(self.symbols, rows, matched, places, is_all_rows)
-        table = pa.table(
-            {_MATCHED: pa.array(places.matches >= 0)}
-            | {name: reading.column(each) for name, each in self.columns.items() if each is not None}
-        )
+        columns = {_MATCHED: pa.array(places.matches >= 0)}
+        for name, each in self.columns.items():
+            with self.symbols.placed("MEASURES", self.places[name]):
+                columns[name] = reading.column(each)
         has_unmatched = bool((places.matches < 0).any())
         wanted = [_guarded(sql_of(expression), has_unmatched) for expression in self.expressions]
-        return self.symbols.duck.columns(table, wanted)
+        at = [measure.value.at for measure in self.symbols.clause.measures]
+        return self.symbols.evaluated(pa.table(columns), wanted, "MEASURES", at)
 
     def _taken_apart(self, measure: Named) -> exp.Expr:
         reader = self.symbols.reader("MEASURES", measure.value)
@@ -110,24 +112,24 @@ class Measures:
         if isinstance(reading, RowReading) and function_name(reading.operand) != "CLASSIFIER":
             operand = self.symbols.over_columns(reading.operand, "MEASURES", measure.value.at)
             kind = self.symbols.check_types("MEASURES", measure.value, operand, self.symbols.types)
-            return self._named(replace(reading, operand=operand), kind)
+            return self._named(replace(reading, operand=operand), kind, measure)
         if isinstance(reading, AggregateReading):
             return self._aggregate(reading, measure)
-        return self._named(reading, "BIGINT" if isinstance(reading, MatchNumber) else "VARCHAR")
+        return self._named(reading, "BIGINT" if isinstance(reading, MatchNumber) else "VARCHAR", measure)
 
     def _pushed_down(self, reading: RowReading, measure: Named) -> exp.Expr:
         """An operand with CLASSIFIER or MATCH_NUMBER in it: each part is read at the row, if there is one."""
-        exists = self._named(replace(reading, operand=exp.Boolean(this=True)), "BOOLEAN")
+        exists = self._named(replace(reading, operand=exp.Boolean(this=True)), "BOOLEAN", measure)
 
         def each(node: exp.Expr) -> exp.Expr:
             if function_name(node) == "MATCH_NUMBER":
-                return self._named(MatchNumber(), "BIGINT")
+                return self._named(MatchNumber(), "BIGINT", measure)
             if function_name(node) == "CLASSIFIER":
-                return self._named(replace(reading, operand=node), "VARCHAR")
+                return self._named(replace(reading, operand=node), "VARCHAR", measure)
             if isinstance(node, exp.Column):
                 operand = self.symbols.over_columns(node, "MEASURES", measure.value.at)
                 kind = self.symbols.check_types("MEASURES", measure.value, operand, self.symbols.types)
-                return self._named(replace(reading, operand=operand), kind)
+                return self._named(replace(reading, operand=operand), kind, measure)
             return node
 
         return exp.Case().when(exists, reading.operand.transform(each))
@@ -147,11 +149,12 @@ class Measures:
         call = reading.call.transform(each)
         kinds = {**self.symbols.types, _LABEL: "VARCHAR", _NUMBER: "BIGINT"}
         kind = self.symbols.check_types("MEASURES", measure.value, call, kinds)
-        return self._named(replace(reading, call=call), kind)
+        return self._named(replace(reading, call=call), kind, measure)
 
-    def _named(self, reading: Reading, kind: str) -> exp.Expr:
+    def _named(self, reading: Reading, kind: str, measure: Named) -> exp.Expr:
         name = next((name for name, known in self.columns.items() if known == reading), f"p{len(self.columns)}")
         self.columns[name] = reading
+        self.places.setdefault(name, measure.value.at)
         self.types[name] = kind
         column = exp.column(name)
         return exp.cast(column, kind, dialect=ClauseDialect) if kind in _WIDE else column

@@ -9,6 +9,7 @@ own, with the common table expressions that are in scope where it stands.
 """
 
 import json
+import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -20,19 +21,30 @@ import duckdb
 import pyarrow as pa
 from sqlglot import exp
 
-from patterns.errors import QueryError, RuleError
+from patterns.errors import MatchError, QueryError, RuleError
 from patterns.language.dialect import ClauseDialect
 from patterns.language.lexemes import Kind, Lexeme, lexemes
 from patterns.language.navigation import offset_of
 from patterns.language.parser import parse_clause
-from patterns.language.statements import BEFORE_INPUT, Statement, first_of_input, input_of, name_of_input, statement
+from patterns.language.statements import (
+    BEFORE_INPUT,
+    Statement,
+    first_of_input,
+    input_of,
+    name_of_input,
+    statement,
+    without_alias,
+)
 from patterns.language.syntax import Clause, Named
 from patterns.language.text import Passage
 from patterns.limits import Limits
-from patterns.querying.duck import sql_of
+from patterns.querying.duck import first_line, sql_of
 from patterns.querying.recognition import recognise
 
 _CLAUSE = "MATCH_RECOGNIZE"
+_ONE = '"__column"'
+_AMBIGUOUS = re.compile(r"Ambiguous reference to column name .* \(use: (.*?)\)")
+_NUMBERED = re.compile(r"(.+)_\d+")
 _LISTED_MOST = 10_000
 """Values that the sub-query of IN in MEASURES may give."""
 _STANDS_ALONE = (
@@ -43,10 +55,18 @@ _STANDS_ALONE = (
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """One clause: what it reads, what it says, and the name by which the text after it knows the result."""
+    """One clause.
+
+    Attributes:
+        name: The name by which the text after it knows the result.
+        source: What it reads.
+        one_column: The same of the column `_ONE` only.
+        clause: What it says.
+    """
 
     name: str
     source: Statement
+    one_column: Statement
     clause: Clause
 
 
@@ -89,8 +109,15 @@ def connection() -> duckdb.DuckDBPyConnection:
 
 
 def register(opened: duckdb.DuckDBPyConnection, name: str, table: pa.Table) -> None:
-    """Make the table known by this name; of `schema.table` also in that schema."""
-    opened.register(name, table)
+    """Make the table known by this name; of `schema.table` also in that schema.
+
+    Raises:
+        MatchError: A column is of a type that DuckDB does not have, or there is none.
+    """
+    try:
+        opened.register(name, _distinctly_named(table))
+    except duckdb.Error as error:
+        raise MatchError(f"the table {name!r} is none that DuckDB reads: {first_line(error)}") from error
     schema, dot, inner = name.partition(".")
     if dot:
         opened.execute(f"create schema if not exists {_quoted(schema)}")
@@ -122,9 +149,11 @@ def answer(plan: Plan, opened: duckdb.DuckDBPyConnection, limits: Limits | None 
     """
     _check_single(plan, opened)
     for step in plan.steps:
-        source = _distinctly_named(_run(plan.passage, step.source, opened, is_input=True))
+        source = _run(plan.passage, step.source, opened, is_input=True)
+        ambiguous = _ambiguous(source, step, opened)
         clause = _with_values(step.clause, opened)
-        opened.register(step.name, recognise(clause, source, limits=limits))
+        result = recognise(clause, _distinctly_named(source), limits=limits, ambiguous=ambiguous)
+        opened.register(step.name, result)
     return _run(plan.passage, plan.rest, opened)
 
 
@@ -168,7 +197,9 @@ class _Reader:
         name = f"__match_{len(self.steps) + 1}"
         while name in self.passage.text.lower():
             name += "_"
-        self.steps.append(Step(name, input_of(self.passage, self.words, first, at), clause))
+        whole = input_of(self.passage, self.words, first, at)
+        one = input_of(self.passage, without_alias(self.words, first), first, at, _ONE)
+        self.steps.append(Step(name, whole, one, clause))
         text = f'SELECT * FROM "{name}"' if self.is_alone_in_parentheses(first, end) else f'"{name}"'
         self.words[first:] = [Lexeme(Kind.QUOTED, text, self.words[first].start, end)]
         return end
@@ -321,6 +352,28 @@ def _meant(passage: Passage) -> str:
         if is_like and after.key == "(":
             return f"\n({word.text}: did you mean {_CLAUSE}?)"
     return ""
+
+
+def _ambiguous(table: pa.Table, step: Step, opened: duckdb.DuckDBPyConnection) -> dict[str, str]:
+    """The names, in lower case, that several tables of the clause's input have, and which columns these are.
+
+    DuckDB says so of each; of two columns of a sub-query the later has got a number from it, and none is meant by both.
+    """
+    names = [name.lower() for name in table.column_names]
+    numbered = (_NUMBERED.fullmatch(name) for name in names)
+    perhaps = {name for name in names if names.count(name) > 1} | {found[1] for found in numbered if found} & set(names)
+    told = {name: _told_twice(name, step, opened) for name in sorted(perhaps)}
+    return {name: where for name, where in told.items() if where is not None}
+
+
+def _told_twice(name: str, step: Step, opened: duckdb.DuckDBPyConnection) -> str | None:
+    """The columns of the input that the name may mean, as DuckDB tells; None: it means one."""
+    try:
+        opened.execute(step.one_column.sql.replace(_ONE, _quoted(name), 1))
+    except duckdb.BinderException as error:
+        told = _AMBIGUOUS.search(str(error))
+        return None if told is None else told[1].replace('"', "").replace(" or ", " and ")
+    return None
 
 
 def _distinctly_named(table: pa.Table) -> pa.Table:

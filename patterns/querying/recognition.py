@@ -17,8 +17,9 @@ import duckdb
 import numpy as np
 import pyarrow as pa
 
+from patterns.binding.bound import Register
 from patterns.binding.program import ProgramTooLarge, Tables, compile_pattern, tabulate
-from patterns.binding.registers import initial, live_registers, update_of
+from patterns.binding.registers import Change, Update, initial, live_registers, update_of
 from patterns.engine.matcher import Block, Event, Found, Machine, Matcher, Partition, runs
 from patterns.engine.skipping import skip_error
 from patterns.errors import LimitError, MatchError, SkipError
@@ -47,7 +48,11 @@ _STEPS_A_ROW = 10
 
 
 def recognise(
-    clause: Clause, table: pa.Table, params: Mapping[str, Any] | None = None, limits: Limits | None = None
+    clause: Clause,
+    table: pa.Table,
+    params: Mapping[str, Any] | None = None,
+    limits: Limits | None = None,
+    ambiguous: Mapping[str, str] | None = None,
 ) -> pa.Table:
     """What the clause gives for the table.
 
@@ -60,6 +65,8 @@ def recognise(
         table: The rows.
         params: Values of `$name` and `:name`.
         limits: What the clause may use.
+        ambiguous: Names of columns, in lower case, that the clause must not say, as several tables of its input have
+            them; and which these are.
 
     Raises:
         RuleError: The clause is not right: a name that is not there, an expression that DuckDB does not take.
@@ -70,7 +77,7 @@ def recognise(
     limits = limits or Limits()
     duck = Duck(limits.questions)
     try:
-        return _Recognition(duck, clause, table, dict(params or {}), limits).result()
+        return _Recognition(duck, clause, table, dict(params or {}), limits, ambiguous or {}).result()
     finally:
         duck.close()
 
@@ -104,12 +111,20 @@ class _Output:
 class _Recognition:
     """One clause over one table; the steps in the order in which `result` takes them."""
 
-    def __init__(self, duck: Duck, clause: Clause, table: pa.Table, params: Mapping[str, Any], limits: Limits) -> None:
+    def __init__(
+        self,
+        duck: Duck,
+        clause: Clause,
+        table: pa.Table,
+        params: Mapping[str, Any],
+        limits: Limits,
+        ambiguous: Mapping[str, str],
+    ) -> None:
         self.clause = clause
         self.duck = duck
         self.table = table
         self.limits = limits
-        self.symbols = Symbols.of(clause, duck, duck.column_types(table), params)
+        self.symbols = Symbols.of(clause, duck, duck.column_types(table), params, ambiguous)
         self.computed: dict[str, str] = {}
 
     def result(self) -> pa.Table:
@@ -251,11 +266,7 @@ class _Recognition:
         reads = [set(each) for each in conditions.reads]
         live = live_registers(tables, registers, reads)
         updates = [
-            tuple(
-                update_of(index, each, variable, self.limits.listed)
-                for index, each in enumerate(registers)
-                if each.takes(variable)
-            )
+            tuple(self.update(index, each, variable) for index, each in enumerate(registers) if each.takes(variable))
             for variable in range(count)
         ]
         target = self.clause.skip.variable
@@ -277,6 +288,11 @@ class _Recognition:
             threads_most=self.limits.threads,
             skip_error=partial(self.skip_error, rows),
         )
+
+    def update(self, index: int, register: Register, variable: int) -> Update:
+        """How a row of this variable changes the register; extremes as DuckDB has them."""
+        index, change, slot = update_of(index, register, variable, self.limits.listed)
+        return index, _EXTREMES.get(register.how, change), slot
 
     def put(self, search: "_Search", output: _Output, tables: Tables, begin: int, end: int) -> None:
         """One partition."""
@@ -407,6 +423,22 @@ class _Search:
                 f"{self.steps:,} steps so far over {rows:,} rows, and the limit `steps` is {most:,}. Next: ask for the "
                 "number in MEASURES, or let a start fail sooner, by WITHIN or a condition"
             )
+
+
+def _min(held: Any, value: Any) -> Any:
+    if held is None or value is None:
+        return value if held is None else held
+    return held if held <= value or value != value else value
+
+
+def _max(held: Any, value: Any) -> Any:
+    if held is None or value is None:
+        return value if held is None else held
+    return held if held >= value or held != held else value
+
+
+_EXTREMES: dict[str, Change] = {"min": _min, "max": _max}
+"""To DuckDB NaN, which does not equal itself, is greater than every number."""
 
 
 def _term(column: str, ordering: Ordering) -> str:

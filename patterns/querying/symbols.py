@@ -4,15 +4,18 @@ Checks the clause's own names, and turns expressions as written into expressions
 """
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import date, datetime, timedelta
 from typing import Any, NoReturn
 
 import duckdb
+import pyarrow as pa
 from sqlglot import exp
 
 from patterns.durations import microseconds
+from patterns.errors import MatchError
 from patterns.language.frames import frames_of
 from patterns.language.navigation import (
     NAVIGATION,
@@ -31,6 +34,8 @@ from patterns.querying.duck import Duck, aggregates, first_line, quoted, sql_of,
 _UNKNOWN_FUNCTION = re.compile(r"Function with name (\w+) does not exist")
 _OF_PATTERNS = ("PREV", "NEXT", "FIRST", "LAST", "CLASSIFIER", "MATCH_NUMBER")
 
+_OF_SEVERAL_ROWS = ("UNNEST", "GENERATE_SUBSCRIPTS")
+
 
 @dataclass(frozen=True)
 class Symbols:
@@ -44,6 +49,7 @@ class Symbols:
         variables: The pattern's variables, by index.
         frames: What each variable and each SUBSET stands for.
         params: Values of parameters, by name.
+        ambiguous: Names that several columns of the input had, in lower case, and which.
     """
 
     clause: Clause
@@ -53,9 +59,17 @@ class Symbols:
     variables: tuple[str, ...]
     frames: Mapping[str, tuple[str, ...]]
     params: Mapping[str, Any]
+    ambiguous: Mapping[str, str]
 
     @classmethod
-    def of(cls, clause: Clause, duck: Duck, types: Mapping[str, str], params: Mapping[str, Any]) -> "Symbols":
+    def of(
+        cls,
+        clause: Clause,
+        duck: Duck,
+        types: Mapping[str, str],
+        params: Mapping[str, Any],
+        ambiguous: Mapping[str, str] | None = None,
+    ) -> "Symbols":
         """The symbols of a clause over an input of these columns and types.
 
         Raises:
@@ -64,7 +78,7 @@ class Symbols:
         columns = {name.lower(): name for name in types}
         frames = frames_of(clause)
         variables = tuple(dict.fromkeys(name.key for name in pattern_variables(clause.pattern)))
-        return cls(clause, duck, columns, types, variables, frames, params)
+        return cls(clause, duck, columns, types, variables, frames, params, ambiguous or {})
 
     def index(self, variable: str) -> int:
         """The variable's index."""
@@ -85,6 +99,7 @@ class Symbols:
         Raises:
             RuleError: There is none.
         """
+        self._check_one(identifier.name, clause, identifier.at)
         found = self.columns.get(identifier.name.lower())
         if found is None:
             have = ", ".join(self.types) + did_you_mean(identifier.name, self.types)
@@ -104,6 +119,10 @@ class Symbols:
                 self._fail(clause, message, node, scalar)
             if isinstance(node, exp.Star) and not _is_counted(node):
                 self._fail(clause, "* stands in COUNT only", node, scalar)
+            if isinstance(node, exp.Comprehension):
+                self._fail(clause, "a list comprehension must not stand here; write list_transform(...)", node, scalar)
+            if isinstance(node, exp.Explode | exp.Unnest) or function_name(node) in _OF_SEVERAL_ROWS:
+                self._fail(clause, "UNNEST makes several rows of one; unnest the result outside", node, scalar)
             if isinstance(node, exp.Window):
                 self._fail(clause, "a window function must not stand here", node, scalar)
             if function_name(node) in unsteady_functions():
@@ -137,9 +156,10 @@ class Symbols:
         parts = column_parts(column)
         if len(parts) > 1 and (identifier_key(parts[0]) in self.frames or self._is_source(parts[0])):
             parts = parts[1:]
+        at = offset_of(column, at)
+        self._check_one(parts[0].name, clause, at)
         name = self.columns.get(parts[0].name.lower())
         if name is None:
-            at = offset_of(column, at)
             if len(parts) > 1:
                 have = (", ".join(self.frames) or "none") + did_you_mean(parts[0].name, self.frames)
                 message = f"{clause}: unknown pattern variable {parts[0].name!r}; there are: {have}"
@@ -151,6 +171,17 @@ class Symbols:
         for field in parts[1:]:
             found = exp.Dot(this=found, expression=exp.to_identifier(field.name, quoted=True))
         return found
+
+    def _check_one(self, name: str, clause: str, at: int) -> None:
+        """Checks that one column of the input bears the name.
+
+        Raises:
+            RuleError: Several do.
+        """
+        where = self.ambiguous.get(name.lower())
+        if where is not None:
+            message = f"{clause}: {name!r} is ambiguous, as the input has it twice: {where}"
+            raise self.clause.passage.error(f"{message}. Next: give one of them another name, in a sub-query", at)
 
     def _is_source(self, identifier: exp.Expr) -> bool:
         """Whether this is the input's name, which no variable has."""
@@ -171,6 +202,8 @@ class Symbols:
             if function_name(node) in NAVIGATION or function_name(node) in aggregates():
                 what = f"{function_name(node)} must not stand here: there is no match to look at yet"
                 self._fail(clause, what, node, scalar)
+        if not any(isinstance(node, exp.Column) for node in tree.walk()):
+            self._fail(clause, f"{sql_of(tree)} is the same for every row; name a column", tree, scalar)
         resolved = self.over_columns(tree, clause, scalar.at)
         self.check_types(clause, scalar, resolved, self.types)
         return resolved.name if isinstance(resolved, exp.Column) else name.name, sql_of(resolved)
@@ -196,6 +229,32 @@ class Symbols:
         except duckdb.Error as error:
             message = f"{clause}: {first_line(error)}{_meant_function(error)}"
             raise self.clause.passage.error(message, scalar.at) from error
+
+    def evaluated(
+        self, table: pa.Table, expressions: Sequence[str], clause: str, at: Sequence[int]
+    ) -> list[pa.ChunkedArray]:
+        """For each expression its value at each row of the table; `at` is where each was written.
+
+        Raises:
+            MatchError: An expression fails on a row; it is named with its place.
+        """
+        try:
+            return self.duck.columns(table, expressions)
+        except MatchError:
+            for expression, place in zip(expressions, at, strict=True):
+                with self.placed(clause, place):
+                    self.duck.columns(table, [expression])
+            raise
+
+    @contextmanager
+    def placed(self, clause: str, at: int) -> Iterator[None]:
+        """A failure of an expression in the block gets the expression's place; a limit keeps its own words."""
+        try:
+            yield
+        except MatchError as error:
+            if type(error) is not MatchError:
+                raise
+            raise MatchError(str(self.clause.passage.error(f"{clause}: {error}", at))) from error
 
     def _fail(self, clause: str, message: str, node: exp.Expr, scalar: Scalar) -> NoReturn:
         raise self.clause.passage.error(f"{clause}: {message}", offset_of(node, scalar.at))

@@ -18,6 +18,7 @@ from patterns.binding.binder import bind
 from patterns.binding.bound import BoundRule
 from patterns.binding.expressions import Kind
 from patterns.binding.inputs import ENVELOPE, situation_key
+from patterns.binding.metres import metres_of
 from patterns.durations import parse_duration
 from patterns.engine.running import match
 from patterns.engine.situations import Match
@@ -78,8 +79,25 @@ def _result(rule: Rule, schemas: Mapping[str, pa.Schema], index: int, case: Case
         difference = f"! {error}"
     else:
         difference = compared(case.expect, found)
+        difference += _uncalibrated(bound, case, rows) if difference else ""
     place = rule.passage("tests", index).place(0)
     return TestResult(rule.rule, name, passed=not difference, difference=difference, place=place)
+
+
+def _uncalibrated(bound: BoundRule, case: Case, rows: pa.Table) -> str:
+    """Of which sources the test gives no calibration, though the rule asks for metres: why it may find nothing."""
+    shared = (*case.zones.items(), *case.lines.items())
+    missing = [
+        source
+        for source in sorted({*rows.column("source").to_pylist()} - set(case.calibrations))
+        if metres_of(bound).asks(source, [n for n, each in shared if each.units == "metres" and each.source == source])
+    ]
+    told = (
+        f"\n! the rule asks for metres of source {source!r}, whose calibration the test does not give. Next: add it to "
+        f"the test's `calibrations:`, as in `calibrations: {{{source}: [[0.1, 0, 0], [0, -0.1, 100], [0, 0, 1]]}}`"
+        for source in missing
+    )
+    return "".join(told)
 
 
 def case_site(case: Case) -> Site:

@@ -24,6 +24,7 @@ from patterns.binding.expressions import (
     InZone,
     Kind,
     OneOf,
+    OnGround,
     Reference,
     Shift,
     conjuncts,
@@ -150,8 +151,16 @@ class _Asked:
         ]
         outer = [each for each in leaves if not any(each in operands(other) for other in leaves)]
         names = list(dict.fromkeys(self.told(each) + self.why_null(each) for each in outer))
-        what = f"unknown, for {', '.join(names)} is NULL" if names else "unknown (NULL)"
+        what = f"unknown, for {', '.join(names)} is NULL" if names else self.why_nowhere(expr)
         return Shortfall(self.told(expr), what, 2.0)
+
+    def why_nowhere(self, expr: Expr) -> str:
+        """Why it is not known, where every column is."""
+        asks = (part for part in walk(expr) if isinstance(part, InZone | Crosses | OnGround))
+        sources = {self.value(part.operands[0]) for part in asks if self.value(part) is None}
+        places = self.judge.evaluator.places
+        uncalibrated = sorted(each for each in sources if each is not None and not places.is_calibrated(each))
+        return f"unknown, for {_uncalibrated(uncalibrated[0])[0]}" if uncalibrated else "unknown (NULL)"
 
     def why_null(self, expr: Expr) -> str:
         if not isinstance(expr, Shift) or 0 <= self.row - expr.rows < self.judge.evaluator.rows.table.num_rows:
@@ -221,10 +230,12 @@ class _Asked:
         zone = next((each for each in known if each.source == source), None)
         if zone is None:
             return _elsewhere("zone", expr.zone, known, source)
+        if not places.is_known(zone):
+            return _uncalibrated(zone.source)
         polygon = zone.polygon_px(places.frame_size(zone, expr.zone))
         unit = "px"
         if zone.units == "metres":
-            x, y = self.on_ground(source, f"zone {expr.zone!r}", x, y)
+            x, y = self.on_ground(source, x, y)
             unit = "m"
             if not np.isfinite(x):
                 return "the point is above the horizon", 1.0
@@ -239,22 +250,28 @@ class _Asked:
         line = next((each for each in known if each.source == source), None)
         if line is None:
             return _elsewhere("line", expr.line, known, source)
+        if not places.is_known(line):
+            return _uncalibrated(line.source)
         if not is_wanted:
             return "the step crosses it", 0.5
         points = line.points_px(places.frame_size(line, expr.line))
         if line.units != "metres":
             return _why_no_crossing(points, step, expr.direction, "px")
         # North is up on the ground and y is down in a picture: turned round, left and right are as seen.
-        ends = [self.on_ground(source, f"line {expr.line!r}", *step[at : at + 2]) for at in (0, 2)]
+        ends = [self.on_ground(source, *step[at : at + 2]) for at in (0, 2)]
         turned = [value for east, north in ends for value in (east, -north)]
         if not np.isfinite(turned).all():
             return "the step begins or ends above the horizon", 1.0
         return _why_no_crossing(points * np.array([1.0, -1.0]), turned, expr.direction, "m")
 
-    def on_ground(self, source: str, who: str, x: float, y: float) -> tuple[float, float]:
+    def on_ground(self, source: str, x: float, y: float) -> tuple[float, float]:
         """Metres to the east and north of a point in pixels."""
-        east, north = self.judge.evaluator.places.ground(source, who, np.array([x]), np.array([y]))
+        east, north = self.judge.evaluator.places.ground(source, np.array([x]), np.array([y]))
         return float(east[0]), float(north[0])
+
+
+def _uncalibrated(source: str) -> tuple[str, float]:
+    return f"source {source} is not calibrated. Next: vian zones calibrate {source} POINTS.yaml", 5.0
 
 
 def _elsewhere(what: str, name: str, known: Sequence[Zone | Line], got: Any) -> tuple[str, float]:

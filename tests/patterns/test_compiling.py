@@ -8,11 +8,12 @@ from typing import Any
 
 import pytest
 
-from patterns import RuleSetRun, bind
+from patterns import RuleSetRun, bind, match
 from patterns.engine import compiling, kernel
 from patterns.engine.compiling import compiling_beside
 from patterns.engine.jit import compiled, compiled_with_memory
-from tests.patterns.samples import SCHEMAS, define_letters, letter_rule
+from patterns.engine.ruleset import merged
+from tests.patterns.samples import SCHEMAS, define_letters, letter_rule, letters
 
 
 def _reaper() -> threading.Thread | None:
@@ -82,3 +83,39 @@ def test_a_rule_that_comes_when_the_kernel_is_compiled_runs_on_it(monkeypatch: p
         monkeypatch.setattr(compiling, "is_compiled", lambda is_it=is_compiled: is_it)
         group.add(bound)
     assert [group.state(name)[:4] for name in group.rules] == [b"VRS1", b"VRS2"]
+
+
+def test_rules_go_on_on_the_kernel_once_it_is_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
+    compiling.compile_kernel()
+    rule = letter_rule("A B", define_letters("AB"), more="time: {lateness: 0 s}")
+    ahead = letter_rule("A", "A AS n < NEXT(n)").model_copy(update={"rule": "ahead"})
+    bounds = [bind(each, SCHEMAS) for each in (rule, ahead)]
+    rows = letters("caacba")
+    monkeypatch.setattr(compiling, "is_compiled", lambda: False)
+    group = RuleSetRun(bounds)
+    steps = [group.push(rows.slice(0, 4))]
+    group.use_kernel()
+    assert [group.state(name)[:4] for name in group.rules] == [b"VRS1", b"VRS1"], "it is not compiled yet"
+    monkeypatch.setattr(compiling, "is_compiled", lambda: True)
+    for begin in (4, 5):
+        group.use_kernel()
+        assert [group.state(name)[:4] for name in group.rules] == [b"VRS2", b"VRS1"], "it does not look ahead"
+        steps.append(group.push(rows.slice(begin, 1)))
+    found = merged([*steps, group.finish()])
+    assert {name: list(each.matches) for name, each in found.items()} == {
+        bound.rule.rule: match(bound, rows) for bound in bounds if match(bound, rows)
+    }
+
+
+def test_what_ran_on_the_kernel_goes_on_where_it_is_not_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
+    compiling.compile_kernel()
+    bound = bind(letter_rule("A B", define_letters("AB"), more="time: {lateness: 0 s}"), SCHEMAS)
+    group = RuleSetRun([bound], uses_kernel=True)
+    rows = letters("cacab")
+    steps = [group.push(rows.slice(0, 4))]
+    monkeypatch.setattr(compiling, "is_compiled", lambda: False)
+    restored = RuleSetRun()
+    restored.add(bound, group.state("sample"))
+    assert restored.state("sample").startswith(b"VRS1")
+    found = merged([*steps, restored.push(rows.slice(4)), restored.finish()])
+    assert list(found["sample"].matches) == match(bound, rows) != []

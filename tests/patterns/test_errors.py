@@ -137,3 +137,12 @@ def test_a_duration_with_an_unknown_unit_is_named_where_it_does_not_fit() -> Non
     text = HEAD.replace("10 s", "10 sek") + f"  {BEGINNING}  PATTERN (A B) DEFINE B AS B.time < A.time + :dwell)\n"
     with pytest.raises(RuleError, match=r"\+ does not take time and string; :dwell is the text '10 sek', where a dur"):
         bind(parse_rule(text, "sample.yaml"), SCHEMAS)
+
+
+@pytest.mark.parametrize(
+    "given,said", [("10", "the number 10"), ("2.5", "the number 2.5"), ("5 m/s", "a value in m/s")]
+)
+def test_a_parameter_that_is_no_duration_is_named_where_one_is_wanted(given: str, said: str) -> None:
+    text = HEAD.replace("10 s", given) + f"  {BEGINNING}  PATTERN (A B) DEFINE B AS B.time < A.time + :dwell)\n"
+    with pytest.raises(RuleError, match=f":dwell is {said}, where a duration is written as in 10 s"):
+        bind(parse_rule(text, "sample.yaml"), SCHEMAS)

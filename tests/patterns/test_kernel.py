@@ -128,6 +128,36 @@ def test_the_kernel_finds_what_the_general_matcher_finds(
         assert (str(failure) if failure else found.get(name, Outcome())) == wanted, name
 
 
+@examples(0.02)
+@given(
+    data=st.data(), rows=records(), cuts=st.lists(st.integers(0, 100), min_size=5, max_size=5), seed=st.integers(0, 14),
+    places=st.lists(st.integers(0, 7), min_size=6, max_size=6),
+)  # fmt: skip
+def test_rules_go_on_from_matcher_to_kernel_and_back(
+    data: st.DataObject, rows: list[Record], cuts: list[int], seed: int, places: list[int]
+) -> None:
+    bounds = [bound for at in range(3) if (bound := data.draw(rules(f"rule-{at}"))) is not None]
+    assume(bounds)
+    arriving = _with_more(sorted(rows, key=lambda row: row["us"] + row["delay"]), seed)
+    parts = pieces(arriving, cuts)
+    group = RuleSetRun(bounds, uses_kernel=False)
+    steps = []
+    for place, part in zip(places, parts, strict=True):
+        steps.append(group.push(letter_rows(part)))
+        states = {name: group.state(name) for name in group.rules}
+        group = RuleSetRun()
+        for at, bound in enumerate(bounds):
+            if bound.rule.rule in states:
+                group._uses_kernel = bool(place >> at & 1)
+                group.add(bound, states[bound.rule.rule])
+                assert group.state(bound.rule.rule).startswith(b"VRS2" if place >> at & 1 else b"VRS1")
+    found = merged([*steps, group.finish()])
+    for bound in bounds:
+        wanted: Any = alone(bound, parts)
+        if not isinstance(wanted, str):
+            assert found.get(bound.rule.rule, Outcome()) == wanted, bound.rule.rule
+
+
 @examples(0.075)
 @given(
     data=st.data(), rows=records(), cuts=st.lists(st.integers(0, 100), max_size=7), seed=st.integers(0, 14),

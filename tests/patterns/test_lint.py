@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import pytest
 
-from patterns import load_rules, parse_rule
+from patterns import Zone, load_rules, parse_rule
 from patterns.files.rule import Rule
 from patterns.linting.findings import Finding
 from patterns.linting.lint import check, lint
@@ -230,3 +230,12 @@ def test_a_measure_named_like_a_partition_column() -> None:
     assert (finding.code, finding.severity) == ("same-column", "warning")
     assert "the measure 'KEY' has the name of a partition column" in finding.message
     assert (finding.place.line, finding.place.column) == (9, 18)
+
+
+def test_a_zone_in_pixels_that_is_a_speck_was_meant_in_shares_of_the_picture() -> None:
+    text = rule("PATTERN (A) WITHIN INTERVAL '1' SECOND DEFINE A AS in_zone(n, v, 'hall') AND n > 1)")
+    speck = text.with_zones({"hall": Zone(source="cam-01", units="pixels", polygon=((0.1, 0.2), (0.9, 0.2), (0.9, 1)))})
+    assert codes(check(text, SCHEMAS)) == []
+    (finding,) = check(speck, SCHEMAS)
+    assert (finding.severity, finding.code, finding.place.line) == ("warning", "unit", 5)
+    assert "zone 'hall' is smaller than 2 pixels. Next: leave `units: pixels` out" in finding.message

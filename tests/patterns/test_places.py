@@ -10,8 +10,8 @@ import pyarrow as pa
 import pytest
 
 from events import CameraCalibrated, EventType, VideoAdded, ZoneDefined, ZoneRemoved
-from patterns import RuleError, RuleRun, Zone, bind, match, parse_rule
-from patterns.errors import CalibrationUnknown, MatchError
+from patterns import RuleError, RuleRun, RuleSetRun, Zone, bind, match, parse_rule
+from patterns.errors import MatchError
 from patterns.scene.geometry import Line
 from patterns.scene.ground import Calibration
 from patterns.scene.site import Site
@@ -117,10 +117,28 @@ def test_pixels_of_another_frame_size_are_scaled_to_the_calibrations() -> None:
     assert found(f"ABS(ground_x(x, y) - {x}) < 1e-9 AND ABS(ground_y(x, y) - {y}) < 1e-9", rows(points), large) == [400]
 
 
-def test_metres_of_a_source_without_calibration_are_an_error_that_says_what_to_do() -> None:
-    rule = parse_rule(HEAD + "    PATTERN (A) DEFINE A AS ground_x(x, y) > 0)\n")
-    with pytest.raises(CalibrationUnknown, match=r"no camera_calibrated of it .* Next: vian zones calibrate cam-02"):
-        match(bind(rule, SCHEMAS, site=site()), rows([(1.0, 1.0)], "cam-02"))
+def test_metres_of_a_source_without_calibration_are_null_and_the_others_have_theirs() -> None:
+    points = rows([(5.0, 5.0), (50.0, 50.0)], "cam-02")
+    line = Line(source="cam-02", units="metres", points=((20.0, -900.0), (20.0, 900.0)))
+    known = site(yard=[zone("metres"), zone("metres", "cam-02")], door=[line])
+    crosses = "crosses(PREV(x), PREV(y), x, y, 'door', 'any')"
+    for asked in ("in_zone(x, y, 'yard')", crosses, "ground_x(x, y) > 0", "ground_speed(x, y, vx, vy) > 0"):
+        assert found(asked, points, known) == []
+        assert found(f"NOT {asked}", points, known) == []
+    assert found("ground_y(x, y) IS NULL AND in_zone(x, y, 'yard') IS NULL", points, known) == [5.0, 50.0]
+    both = pa.concat_tables([points, rows([(95.0, 50.0)])])
+    assert found("in_zone(x, y, 'yard') AND ground_speed(x, y, vx, vy) > 0.1", both, known) == [95.0]
+
+
+@pytest.mark.parametrize("uses_kernel", [True, False])
+def test_a_rule_that_asks_for_metres_goes_on_beside_a_source_that_is_not_calibrated(uses_kernel: bool) -> None:
+    define = "A AS in_zone(x, y, 'yard') AND ground_speed(x, y, vx, vy) > 0.1"
+    bound = bind(parse_rule(HEAD + f"    PATTERN (A) DEFINE {define})\n"), SCHEMAS, site=site(yard=[zone("metres")]))
+    group = RuleSetRun([bound], uses_kernel=uses_kernel)
+    group.push(rows([(95.0, 50.0)], "cam-02"))
+    group.push(rows([(95.0, 50.0)]))
+    outcome = group.finish()["sample"]
+    assert (group.failures, [each.first.stream for each in outcome.matches]) == ({}, ["s/cam-01/track_point"])
 
 
 def test_values_of_a_list_are_found_in_it() -> None:

@@ -4,7 +4,7 @@ import pyarrow as pa
 import pytest
 
 import patterns
-from patterns import LimitError, Limits, QueryError, query
+from patterns import LimitError, Limits, MatchError, QueryError, query
 from patterns.language.lexemes import lexemes
 from patterns.language.text import Passage
 from patterns.querying.queries import take_apart
@@ -29,9 +29,21 @@ def test_an_answer_may_have_two_columns_of_one_name() -> None:
 
 
 def test_columns_of_an_input_that_share_a_name_are_told_apart() -> None:
-    clause = "MATCH_RECOGNIZE (MEASURES id AS a, id_1 AS b, X_1 AS c PATTERN (A))"
+    clause = "MATCH_RECOGNIZE (MEASURES id_1 AS b, X_1 AS c PATTERN (A))"
     answer = query(f"SELECT * FROM (t JOIN t AS u ON t.id = u.id) {clause}", {"t": LETTERS})
-    assert answer.to_pylist()[2] == {"a": 3, "b": 3, "c": "b"}
+    assert answer.to_pylist()[2] == {"b": 3, "c": "b"}
+
+
+def test_columns_of_a_table_that_share_a_name_are_told_apart() -> None:
+    twins = pa.Table.from_arrays([pa.array([1]), pa.array(["a"])], names=["id", "id"])
+    sql = "SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES A.id_1 AS x PATTERN (A))"
+    assert query(sql, {"t": twins}).to_pylist() == [{"x": "a"}]
+
+
+def test_a_table_that_duckdb_cannot_read_is_named() -> None:
+    halves = pa.table({"id": pa.array([1.0]).cast(pa.float16())})
+    with pytest.raises(MatchError, match="the table 't' is none that DuckDB reads"):
+        query(f"SELECT * FROM t {PAIR}", {"t": halves})
 
 
 def test_limits_are_the_callers() -> None:

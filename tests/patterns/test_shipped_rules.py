@@ -180,3 +180,11 @@ def test_a_test_whose_rows_the_rule_cannot_take_fails_with_the_reason() -> None:
     assert said + "Next: add it to the test's `frames:`, as in `frames: {cam-01: [1920, 1080]}`" in result.difference
     line = text.splitlines()[result.place.line - 1]
     assert line[result.place.column - 1 :].startswith("name: ")
+
+
+def test_a_test_without_the_calibration_that_the_rule_asks_for_fails_with_the_reason() -> None:
+    text = (FOLDER.parent / "templates" / "cases" / "speeding.yaml").read_text()
+    lines = [line for line in text.splitlines(keepends=True) if "calibrations:" not in line]
+    known = {"track_point": SCHEMAS["track_point"]}
+    (first, _) = run_tests(parse_rule("".join(lines)), known)
+    assert "! the rule asks for metres of source 'cam-01', whose calibration the test does not give" in first.difference

@@ -125,6 +125,7 @@ def test_what_is_wrong_is_named_with_its_place(old: str, new: str, place: str, m
     "template,given,message",
     [
         ("speeding", "zone: yard, limit: 50", "with.limit: wanted a speed on the ground such as 50 km/h, got 50"),
+        ("speeding", "zone: yard, limit: -50 km/h", "wanted a speed on the ground such as 50 km/h, got '-50 km/h'"),
         (
             "speeding",
             "zone: yard, limit: 50 px/s",

@@ -224,6 +224,15 @@ def test_a_zone_of_another_source_is_never_true() -> None:
     )
 
 
+def test_metres_of_a_source_that_is_not_calibrated_are_unknown() -> None:
+    metres = loitering(zone=("{source: gate, polygon", "{source: gate, units: metres, polygon"))
+    answer = asked(metres, rows([(0, 20), (1, 60)]))
+    assert answer.nearest is not None
+    (shortfall,) = answer.nearest.shortfalls
+    wanted = "'yard'): unknown, for source gate is not calibrated. Next: vian zones calibrate gate POINTS.yaml"
+    assert shortfall.endswith(wanted)
+
+
 def test_an_unknown_frame_size_is_an_error_that_names_zone_and_source() -> None:
     with pytest.raises(FrameSizeUnknown, match="'yard' is in normalised coordinates of source 'gate'"):
         asked_without_sizes()
@@ -298,3 +307,13 @@ def test_a_virtual_row_is_told_at_the_time_when_it_was_due() -> None:
         ("overdue", 1, BEGINNING + timedelta(seconds=10)),
     ]
     assert asked(alone(), table, second=5).verdict is Verdict.MATCHED
+
+
+def test_a_rule_that_is_partitioned_by_source_alone_is_asked_for_the_source() -> None:
+    text = LOITERING.replace("BY source, track_id", "BY source").replace("track {track_id}", "one")
+    bound = bind(parse_rule(text), SCHEMAS, SIZES)
+    assert asked(bound, rows([(0, 20), (1, 30), (2, 45)]), subject="gate").partition == {"source": "gate"}
+    with pytest.raises(SubjectUnclear, match=r"of 'gaet' between .*; there are, nearest in time first: gate$"):
+        asked(bound, rows([(0, 20)]), subject="gaet")
+    with pytest.raises(SubjectUnclear, match=r"no track_point of 'gate' between .*nearest in time first: 7$"):
+        asked(loitering(), rows([(0, 20)]), subject="gate")

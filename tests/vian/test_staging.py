@@ -12,9 +12,9 @@ from patterns.errors import PatternError
 from patterns.processor import Processor
 from patterns.stages import load_stages, parse_stage
 from store import Log, LogUnavailable, Transaction
-from tests.patterns.test_processor import STATION, T0, add_video, end, point, say, situations
+from tests.patterns.walkers import STATION, T0, add_video, end, point, say, situations
 from vian.rules import files_of
-from vian.staging import StageFollower, deploy_stages, stages_of
+from vian.staging import StageFollower, deploy_stages, stages_beside_that_run, stages_of
 
 CROWD = """
 stage: crowd
@@ -126,3 +126,15 @@ def test_a_stage_over_what_there_is_not_is_refused_at_its_place(log: Log, settin
     stage = parse_stage(f"stage: a\nversion: 1\ntally: {settings}\n", "a.yaml")
     with pytest.raises(PatternError, match=f"a.yaml:{wanted}"):
         StageFollower(log, STATION, stage)
+
+
+def test_a_stage_file_that_is_wrong_is_left_out_and_the_others_run(
+    log: Log, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "a.yaml").write_text(CROWD.replace("occupancy:", "occupance:"))
+    (tmp_path / "b.yaml").write_text(CROWD)
+    (tmp_path / "c.yaml").write_text(CROWD.replace("right", "left"))
+    assert [each.path for each in stages_beside_that_run(log, STATION, tmp_path)] == [tmp_path / "b.yaml"]
+    told = "".join(capsys.readouterr())
+    assert told.count("a stage file is left out; the others run") == 2
+    assert "the stage 'crowd' is also defined in" in told

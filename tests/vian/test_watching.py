@@ -9,8 +9,21 @@ from store import Log
 from tests.vian.samples import append, points
 from tests.vian.test_rules import write_rule
 from vian.clock import utc_now
+from vian.errors import WrongUsage
 from vian.rules import load_all
-from vian.watching import RulesWatch
+from vian.watching import RulesWatch, check_there, processor_part
+
+ABOVE = """
+rule: above
+version: 1
+title: "{n} above"
+severity: info
+match: |
+  SELECT * FROM situation('high') MATCH_RECOGNIZE (
+    PARTITION BY source ORDER BY time, sequence
+    MEASURES COUNT(*) AS n
+    PATTERN (a a) WITHIN INTERVAL '1' MINUTE)
+"""
 
 
 @pytest.fixture
@@ -108,3 +121,43 @@ def test_rules_that_others_deployed_stay(log: Log, folder: Path, watch: RulesWat
     write_rule(folder / "high.yaml")
     watch.look()
     assert in_service(log) == [("other", 1), ("high", 1)]
+
+
+def test_a_server_starts_beside_a_bad_file_and_takes_it_up_when_it_is_mended(
+    log: Log, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (folder / "bad.yaml").write_text("rule: [")
+    write_rule(folder / "high.yaml")
+    part = processor_part(log, "brno", folder)
+    assert in_service(log) == [("high", 1)]
+    told = capsys.readouterr()
+    assert "a rule file is left out; what runs goes on" in told.out + told.err
+    part.close()
+
+
+def test_a_server_starts_on_an_empty_folder_and_not_on_none(log: Log, folder: Path) -> None:
+    check_there(folder)
+    processor_part(log, "brno", folder).close()
+    assert in_service(log) == []
+    with pytest.raises(WrongUsage, match=r"there is no .*rules2 to read rules from. Next: mkdir"):
+        check_there(folder.with_name("rules2"))
+
+
+def test_a_rule_over_situations_of_another_is_taken_up_in_whatever_order_they_come(
+    log: Log, folder: Path, watch: RulesWatch
+) -> None:
+    (folder / "above.yaml").write_text(ABOVE)
+    assert watch.look() == 0
+    write_rule(folder / "high.yaml")
+    assert watch.look() == 2
+    assert in_service(log) == [("high", 1), ("above", 1)]
+
+
+def test_rules_that_come_together_are_deployed_from_the_lowest_stratum_up(
+    log: Log, folder: Path, watch: RulesWatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (folder / "above.yaml").write_text(ABOVE)
+    write_rule(folder / "high.yaml")
+    assert watch.look() == 2
+    assert in_service(log) == [("high", 1), ("above", 1)]
+    assert "left out" not in capsys.readouterr().err

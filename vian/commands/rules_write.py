@@ -122,7 +122,12 @@ def _shape(option: str, where: str, key: str) -> dict[str, Any]:
         values = []
     if not source or len(values) < 4 or len(values) % 2:
         raise WrongUsage(f"{option} must be SOURCE:X,Y,X,Y..., such as cam-01:0.1,0.5,0.6,0.5,0.6,0.9; got {where!r}")
-    units = {} if all(0 <= value <= 1 for value in values) else {"units": "pixels"}
+    is_share = all(0 <= value <= 1 for value in values)
+    if not is_share and all(abs(value) <= 2 for value in values):
+        raise WrongUsage(
+            f"{option}: shares of the picture lie in 0 to 1, and this is too small for pixels; got {where!r}"
+        )
+    units = {} if is_share else {"units": "pixels"}
     points = [list(map(_number, values[at : at + 2])) for at in range(0, len(values), 2)]
     return {"source": source, **units, key: points}
 

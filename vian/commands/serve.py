@@ -27,9 +27,9 @@ from vian.rows import upkeep_part
 from vian.rules import limits_of
 from vian.settings import Settings
 from vian.signatures import has_key, signing_part
-from vian.staging import stages_beside, stages_of, stages_part
+from vian.staging import stages_beside_that_run, stages_part
 from vian.stations import StationsFile, read_token
-from vian.watching import processor_part
+from vian.watching import check_there, processor_part
 
 STEP_SECONDS = 1.0
 
@@ -102,7 +102,8 @@ def _parts(stack: ExitStack, log: Log, settings: Settings, role: Role) -> list[P
     if settings.rules is not None or role is Role.STATION:
         stack.enter_context(compiling_beside())  # until it is done, rules run on the general matcher
         limits = limits_of(settings)
-        stages = [] if settings.rules is None else stages_of(stages_beside(settings.rules))
+        check_there(settings.rules)
+        stages = [] if settings.rules is None else stages_beside_that_run(log, settings.station, settings.rules)
         if stages:
             parts.append(stages_part(log, settings.station, stages))
         parts.append(processor_part(log, settings.station, settings.rules, limits, settings.rules_look_s))

@@ -526,3 +526,45 @@ SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES A.x IN (SELECT ▸x FROM t
 --- case a sub-query in DEFINE
 SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES id AS i PATTERN (A) DEFINE A AS ▸A.x IN (SELECT x FROM t))
 --- error but in MEASURES as a value, in EXISTS or behind IN
+
+--- case a column that both tables of a join have
+SELECT * FROM (t JOIN u ON t.id = u.id) MATCH_RECOGNIZE (ORDER BY ▸id MEASURES A.n AS i PATTERN (A))
+--- table u
+id int | n int
+1      | 2
+--- error ORDER BY: 'id' is ambiguous, as the input has it twice: t.id and u.id. Next: give one of them another name
+
+--- case a column that both tables of a join have, behind a common table expression
+WITH c AS (SELECT id AS k, x FROM t) SELECT * FROM (c JOIN t ON k = t.id) AS j MATCH_RECOGNIZE (ORDER BY k
+  MEASURES last(▸A.x) AS i PATTERN (A))
+--- error MEASURES: 'x' is ambiguous, as the input has it twice: c.x and t.x
+
+--- case a value that a measure cannot cast
+SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES id AS i, CAST(x AS integer) AS n PATTERN (A))
+--- fails <query>:1:64: MEASURES: DuckDB: Conversion Error: Could not convert string 'a' to INT32
+
+--- case a value that an aggregate in a measure cannot cast
+SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES id AS i, SUM(CAST(x AS integer)) AS n PATTERN (A))
+--- fails <query>:1:64: MEASURES: DuckDB: Conversion Error
+
+--- case a value that a condition cannot cast
+SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES id AS i PATTERN (A B) DEFINE A AS id > 0,
+  B AS CAST(x AS integer) > 0)
+--- fails <query>:2:8: DEFINE: DuckDB: Conversion Error
+
+--- case a value of two rows that a condition cannot cast
+SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES id AS i PATTERN (A B) DEFINE A AS id > 0,
+  B AS CAST(A.x || B.x AS integer) > 0)
+--- fails <query>:2:8: DEFINE: DuckDB: Conversion Error
+
+--- case a measure that makes several rows of one
+SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES ▸unnest([id, 2]) AS n PATTERN (A))
+--- error UNNEST makes several rows of one
+
+--- case a list comprehension
+SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES [▸e + 1 FOR e IN list(id)] AS n PATTERN (A))
+--- error a list comprehension must not stand here; write list_transform
+
+--- case an order by the number of a column
+SELECT * FROM t MATCH_RECOGNIZE (ORDER BY ▸1 MEASURES id AS i PATTERN (A))
+--- error ORDER BY: 1 is the same for every row; name a column

@@ -474,3 +474,10 @@ SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES string_agg(CLASSIFIER(), '
 --- wanted
 c
 BCAB
+
+--- case variables with letters of every alphabet
+--- letters t ab
+SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES CLASSIFIER() AS c, COUNT(é.*) AS n, ž1.id AS z PATTERN (é ž1) DEFINE ž1 AS ž1.id > é.id)
+--- wanted
+c | n | z
+Ž1 | 1 | 2

@@ -384,3 +384,21 @@ true   | false  | true   | true
 false  | true   | NULL   | true
 NULL   | NULL   | NULL   | true
 true   | false  | NULL   | true
+
+--- case a column that a join has twice, which the clause does not name
+SELECT m.* FROM (t JOIN u USING (id)) MATCH_RECOGNIZE (ORDER BY id MEASURES A.id + n AS s PATTERN (A)) AS m
+--- letters t ab
+--- table u
+id int | x int | n int
+1      | 5     | 2
+2      | 6     | 3
+--- wanted
+s
+3
+5
+
+--- case a column that a sub-query has twice, of which the later gets a number, as in DuckDB
+SELECT * FROM (SELECT 1 AS x, 2 AS x) AS t MATCH_RECOGNIZE (MEASURES A.x AS a, t.x_1 AS b PATTERN (A))
+--- wanted
+a | b
+1 | 2

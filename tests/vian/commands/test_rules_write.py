@@ -64,6 +64,10 @@ WRONG: list[tuple[list[str], str]] = [
     (["new", "mine", "--template", "loitring"], "there is no template 'loitring'; there are: "),
     (["new", "--template", "loitering"], "a new rule needs a name. Next: vian rules new NAME --template loitering"),
     (["new", "mine", "-t", "loitering", "--zone", "0.1,0.2"], "--zone must be SOURCE:X,Y,X,Y..., such as"),
+    (
+        ["new", "mine", "-t", "loitering", "--zone", "gate:-0.1,0,0.5,1,1,0"],
+        "--zone: shares of the picture lie in 0 to 1",
+    ),
     (["new", "mine", "-t", "loitering", "--zone", "gate:1,2,3"], "--zone must be SOURCE:X,Y,X,Y..., such as"),
     (["new", "mine", "-t", "loitering", "--zone", "gate:0,0,1,1,0,1,1,0"], "a polygon must have an area"),
     (["new", "mine", "-t", "loitering", "--line", "gate:0,0,1,1"], "this template has no line for --line to place"),
