@@ -1,5 +1,6 @@
 """The compiled kernel and the general matcher agree: random rules, random rows, random splits."""
 
+import re
 from itertools import accumulate
 from typing import Any
 
@@ -91,6 +92,11 @@ def alone(bound: BoundRule, parts: list[list[Record]]) -> Outcome | str:
         return str(error)
 
 
+def without_rows(failure: Any) -> Any:
+    """The failure without the rows that it names: of partitions that fail at one time, either may be told first."""
+    return re.sub(r"\S+ \(sequence \d+\)", "a row", failure) if isinstance(failure, str) else failure
+
+
 @pytest.fixture(scope="module", autouse=True)
 def kernel() -> None:
     """The kernel, compiled: half a minute, once for each change of it."""
@@ -125,7 +131,10 @@ def test_the_kernel_finds_what_the_general_matcher_finds(
         name = bound.rule.rule
         wanted: Any = alone(bound, parts)
         failure = group.failures.get(name)
-        assert (str(failure) if failure else found.get(name, Outcome())) == wanted, name
+        if failure:
+            assert without_rows(str(failure)) == without_rows(wanted), name
+        else:
+            assert found.get(name, Outcome()) == wanted, name
 
 
 @examples(0.02)

@@ -217,7 +217,7 @@ def test_a_log_that_was_cut_and_continued_is_found(
 def test_a_forged_signature_is_found(log: Log, signer: Signer, key_file: Path, tmp_path: Path) -> None:
     append(log, GATE, 1)
     checkpoint = signed(signer)
-    event = event_of(checkpoint.statement, checkpoint.signature[:-1] + b"\0")
+    event = event_of(checkpoint.statement, checkpoint.signature[:-1] + bytes([checkpoint.signature[-1] ^ 1]))
     log.append([encode(CHECKPOINTS, batch_of([event]), PRODUCER)], [1])
     (broken,) = breaks(log)
     assert (broken.stream, broken.position, broken.first_sequence) == (CHECKPOINTS, 3, 2)
