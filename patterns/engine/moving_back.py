@@ -80,8 +80,8 @@ class _Remembered:
     def partitions(self) -> list[tuple[Key, Open]]:
         """By key, what is remembered."""
         known = Keys([self.bound.columns[name] for name in self.bound.keys])
-        known.texts, known.table = Texts(self.saved.header["key_texts"]), self.keys
-        keys = known.keys(np.arange(len(self.keys)))
+        numbers = known.numbers_of(self.keys, Texts(self.saved.header["key_texts"]))
+        keys = list(zip(*known.columns(numbers), strict=True)) if self.bound.keys else [()] * len(numbers)
         tails = self._tails()
         cells = {cell[k.C_PARTITION]: cell for cell in self.pools.cells}
         begun = self._begun()
