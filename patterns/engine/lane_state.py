@@ -73,6 +73,7 @@ def saved_lane(lane: Lane, name: str) -> bytes:
         "texts": texts,
         "key_texts": keys.texts.known,
         "due_us": int(lane.state.controls[k.DUE]),
+        "begins_us": member.begins_us,
     }
     tables = {each: table_of(pools[each]) for each in _POOLS}
     tables |= {
@@ -286,6 +287,7 @@ def _insert(lane: Lane, at: int, saved: Saved) -> None:
     header, member = saved.header, lane.members[at]
     member.emitter.restore(header["emitter"])
     member.matches = header["counts"][2]
+    member.begins_us = header.get("begins_us")
     waiting = saved.tables["waiting"]
     if waiting.num_rows:
         (rows,) = lane.waiting
@@ -310,6 +312,9 @@ def _insert(lane: Lane, at: int, saved: Saved) -> None:
     _insert_rows(lane, packed, partitions, last_rows, ordinals, own)
     lane.tails.insert(partitions, saved.tables["tails"])
     lane.state = _with_pools(lane.state, at, pools, partitions, header["due_us"])
+    for place, each in enumerate(lane.members):
+        if each.begins_us is not None:
+            lane.state = _begun(lane.state, place, lane.keys.count, each.begins_us)
 
 
 def _renumber_rows(pools: dict[str, Integers], more: Integers) -> None:
@@ -360,6 +365,19 @@ def _insert_rows(
         held[is_mine, first + number] = mine[is_mine, first + number]
         held[is_mine, k.R_NULLS] = (held[is_mine, k.R_NULLS] & ~bit) | (mine[is_mine, k.R_NULLS] & bit)
     state.last_rows[known] = held
+
+
+def _begun(state: State, rule: int, partitions: int, begins_us: int) -> State:
+    """The state in which the rule begins no match at rows before this time, which others of the lane remember."""
+    is_open = (state.last_ordinals[:partitions] >= 0) & (state.last_rows[:partitions, k.R_TIME] < begins_us)
+    is_open[state.cells[state.cells[:, k.C_RULE] == rule, k.C_PARTITION]] = False
+    begun = np.flatnonzero(is_open)
+    cells = np.zeros((len(begun), k.C_WIDTH), dtype=np.int64)
+    cells[:, k.C_RULE], cells[:, k.C_PARTITION], cells[:, k.C_NEXT] = rule, begun, state.first_cells[begun]
+    cells[:, k.C_FIRST] = cells[:, k.C_LAST] = -1
+    cells[:, k.C_RESUME] = state.last_ordinals[begun] + 1
+    state.first_cells[begun] = len(state.cells) + np.arange(len(begun))
+    return state._replace(cells=np.concatenate((state.cells, cells)))
 
 
 def _with_pools(state: State, rule: int, pools: dict[str, Integers], partitions: Integers, due_us: int) -> State:

@@ -48,7 +48,10 @@ def moved_to_kernel(packed: Packed, state: bytes) -> bytes:
     for number, (_, remembered) in enumerate(partitions):
         pools.add(number, remembered)
     states = [remembered for _, remembered in partitions]
-    header |= {"texts": pools.texts.known, "key_texts": keys.texts.known, "due_us": pools.due_us}
+    header |= {
+        "texts": pools.texts.known, "key_texts": keys.texts.known, "due_us": pools.due_us,
+        "begins_us": header["clock"]["watermark_us"],
+    }  # fmt: skip
     tables = {name: table_of(integers) for name, integers in pools.tables().items()} | {
         "keys": table_of(keys.table[: keys.count]),
         "last_rows": table_of(_last_rows(packed, states)),
@@ -88,7 +91,7 @@ class _Pools:
         """One partition."""
         partition = remembered.partition
         cell = _record(k.C_WIDTH, {k.C_PARTITION: number, k.C_NEXT: -1, k.C_FIRST: -1, k.C_LAST: -1})
-        # No match begins at a row that was seen: where one could, the general matcher has begun it.
+        # At a row that was seen no match begins any more: where one could, it has.
         cell[k.C_RESUME] = partition.ordinal
         for attempt in partition.attempts:
             at = self._attempt(attempt)

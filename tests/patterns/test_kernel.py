@@ -128,7 +128,7 @@ def test_the_kernel_finds_what_the_general_matcher_finds(
         assert (str(failure) if failure else found.get(name, Outcome())) == wanted, name
 
 
-@examples(0.075)
+@examples(0.02)
 @given(
     data=st.data(), rows=records(), cuts=st.lists(st.integers(0, 100), min_size=5, max_size=5), seed=st.integers(0, 14),
     places=st.lists(st.integers(0, 7), min_size=6, max_size=6),
@@ -158,8 +158,7 @@ def test_rules_go_on_from_matcher_to_kernel_and_back(
             assert found.get(bound.rule.rule, Outcome()) == wanted, bound.rule.rule
 
 
-@pytest.mark.timeout(900)
-@settings(max_examples=EXAMPLES)
+@examples(0.075)
 @given(
     data=st.data(), rows=records(), cuts=st.lists(st.integers(0, 100), max_size=7), seed=st.integers(0, 14),
     groups=st.lists(st.integers(1, 4), min_size=8, max_size=8), is_late=st.booleans(),

@@ -39,7 +39,7 @@ RULES = {
 }  # fmt: skip
 
 
-@examples(0.02)  # for each of the rules
+@examples(0.005)  # for each of the rules
 @given(rows=partitions())
 @pytest.mark.parametrize("name", RULES)
 def test_a_rule_finds_what_its_sql_finds_as_a_query(name: str, rows: list[list[dict[str, Any]]]) -> None:
