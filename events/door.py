@@ -194,7 +194,7 @@ def _inspect_texts(place: str, wanted: Allowed, column: pa.Array) -> None:
             most = f"at most {VALUE_MAX_BYTES} bytes"
             _refuse(place, most, lengths, lambda length: length <= VALUE_MAX_BYTES, "{} bytes".format)
     if wanted.values is not None:
-        if not pc.all(pc.is_in(column.drop_null(), pa.array(wanted.values)), min_count=0).as_py():
+        if not pc.all(pc.is_in(column.drop_null(), pa.array(wanted.values, pa.string())), min_count=0).as_py():
             _refuse(place, f"one of {wanted}", column, wanted.values.__contains__)
     elif wanted.is_json and not all(map(_is_json, column.drop_null().to_pylist())):
         _refuse(place, "JSON (RFC 8259)", column, _is_json)

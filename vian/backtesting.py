@@ -48,6 +48,7 @@ class Backtested:
         waiting: Rows that are not final yet, for the watermark has not passed them.
         held_back: Matches that `once_per` and `cooldown` held back.
         segments_skipped: Segments of versions unknown here, which took no part.
+        elsewhen: The times of the situations that were found and not asked for.
         position: How far the log was read.
     """
 
@@ -57,7 +58,17 @@ class Backtested:
     waiting: int = 0
     held_back: int = 0
     segments_skipped: int = 0
+    elsewhen: list[datetime] = field(default_factory=list)
     position: int = 0
+
+    def add(self, found: Sequence[Match], span: Span) -> None:
+        """Take up what was found next; what the span does not show only by its time."""
+        for match in found:
+            time = decided_at(match)
+            if span.shows(time):
+                self.matches.append(match)
+            else:
+                self.elsewhen.append(time)
 
 
 def backtested(
@@ -79,8 +90,7 @@ def backtested(
     result = Backtested()
     last_wanted: int | None = None
     for segment in segments_of(log, backtest, span):
-        found = backtest.take(segment).matches
-        result.matches += [each for each in found if span.shows(decided_at(each))]
+        result.add(backtest.take(segment).matches, span)
         result.position = segment.position
         on_position(segment.position)
         if _has_come_to(backtest, span.until):
@@ -88,7 +98,7 @@ def backtested(
             if segment.position >= last_wanted:
                 break
     else:
-        result.matches += [each for each in backtest.settle().matches if span.shows(decided_at(each))]
+        result.add(backtest.settle().matches, span)
     status = backtest.status
     result.rows, result.late, result.held_back = status.counts.rows, status.counts.late, status.held_back
     result.waiting = status.rows_waiting

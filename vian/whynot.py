@@ -14,6 +14,7 @@ import pyarrow.compute as pc
 
 from events import Segment, UnknownType, decode, with_envelope
 from patterns.binding.bound import BoundRule
+from patterns.binding.strata import rules_read
 from patterns.durations import MICROSECOND
 from patterns.engine.emitter import Emitter
 from patterns.engine.situations import Match, as_microseconds
@@ -33,7 +34,7 @@ def past_of(log: Log, bound: BoundRule, question: Question, limits: ProcessorLim
     """
     begin, end = _window(question)
     whole = replace(bound, rule=bound.rule.model_copy(update={"emit": EmitSettings()}))
-    after = position_before(log, sorted(bound.types), _earlier(begin, _lead(bound, question)))
+    after = _beginning(log, bound, question, begin)
     backtest = backtest_after(log, whole, after, limits)
     batches: list[pa.Table] = []
     matches: list[Match] = []
@@ -48,6 +49,7 @@ def past_of(log: Log, bound: BoundRule, question: Question, limits: ProcessorLim
             batches += _rows(log, segment, begin, end)
             is_cut_after |= segment.header.time_max > end
             newest = segment.header.time_max if newest is None else max(newest, segment.header.time_max)
+    matches += backtest.settle().matches
     return Past(
         rows=pa.concat_tables(batches, promote_options="default") if batches else _nothing(log, bound),
         late=frozenset(late),
@@ -73,6 +75,14 @@ def spans_of(log: Log, bound: BoundRule, subject: str) -> list[str]:
                 known = spans.get(segment.stream.source, (first, last))
                 spans[segment.stream.source] = (min(first, known[0]), max(last, known[1]))
     return [f"{source} from {told_time(first)} to {told_time(last)}" for source, (first, last) in sorted(spans.items())]
+
+
+def _beginning(log: Log, bound: BoundRule, question: Question, begin: datetime) -> int:
+    """The position behind which the rule is run: early enough that it knows what it would."""
+    if rules_read(bound.rule):
+        # Situations come behind all that they rest on, the end of their source too.
+        return 0
+    return position_before(log, sorted(bound.types), _earlier(begin, _lead(bound, question)))
 
 
 def _lead(bound: BoundRule, question: Question) -> timedelta:

@@ -1,8 +1,10 @@
 """A situation's title: the rule's text with names in braces, and values in their place."""
 
 import re
+from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime, timedelta
 from string import Formatter
+from typing import Any
 
 from patterns.binding.expressions import Kind
 from patterns.files.rule import Rule
@@ -44,38 +46,29 @@ def check_formats(rule: Rule, kinds: dict[str, Kind]) -> None:
         RuleError: A format that values of the type do not have.
     """
     try:
-        filled_title(rule.title, {name: _SAMPLES[kind] for name, kind in kinds.items()})
+        filled_titles(rule.title, {name: [_SAMPLES[kind]] for name, kind in kinds.items()}, 1)
     except (ValueError, OverflowError) as error:
         raise rule.error(f"title: {error}", "title") from error
 
 
-def filled_title(title: str, values: dict[str, Scalar]) -> str:
-    """The title with each `{name}` or `{name:format}` in its place; NULL is shown as `?`."""
-    return title.format_map(_AllShown(values))
+def filled_titles(title: str, columns: Mapping[str, Sequence[Scalar]], count: int) -> list[str]:
+    """So many titles, each `{name}` or `{name:format}` in its place; NULL is shown as `?`."""
+    parts = [(text.replace("%", "%%"), name, spec or "") for text, name, spec, _ in Formatter().parse(title)]
+    shown = [_shown(columns[name], spec) for _, name, spec in parts if name is not None]
+    template = "".join(text if name is None else f"{text}%s" for text, name, _ in parts)
+    return [template % values for values in zip(*shown, strict=True)] if shown else [template % ()] * count
 
 
-class _AllShown:
-    """Values by name; each is made ready to be shown when it is asked for."""
-
-    def __init__(self, values: dict[str, Scalar]) -> None:
-        self._values = values
-
-    def __getitem__(self, name: str) -> "_Shown":
-        return _Shown(self._values[name])
+def _shown(values: Sequence[Scalar], spec: str) -> list[str]:
+    """Values of one type, or NULL, as a title shows them."""
+    kind = next((type(value) for value in values if value is not None), None)
+    show = _shows(kind, spec)
+    return ["?" if value is None else show(value) for value in values]
 
 
-class _Shown:
-    """A value as a title shows it."""
-
-    def __init__(self, value: Scalar) -> None:
-        self.value = value
-
-    def __format__(self, spec: str) -> str:
-        value = self.value
-        if value is None:
-            return "?"
-        if isinstance(value, timedelta):
-            return f"{value.total_seconds():{spec or 'g'}} s"
-        if spec:
-            return format(value, spec)
-        return value.isoformat().replace("+00:00", "Z") if isinstance(value, datetime) else str(value)
+def _shows(kind: type | None, spec: str) -> Callable[[Any], str]:
+    if kind is timedelta:
+        return lambda value: f"{value.total_seconds():{spec or 'g'}} s"
+    if spec:
+        return lambda value: format(value, spec)
+    return (lambda value: value.isoformat().replace("+00:00", "Z")) if kind is datetime else str

@@ -11,7 +11,37 @@ from numpy.typing import NDArray
 from patterns.binding.expressions import Kind
 from patterns.engine.kernel import Integers, intern
 
+_WORD_BYTES = 8
+_TEXT_WORDS_MOST = 5
+"""Longer texts are told apart as texts: a UUID still fits."""
+_FIRST_OCTETS = np.array([(1 << 8 * count) - 1 for count in range(_WORD_BYTES + 1)], dtype=np.uint64).view(np.int64)
+"""Masks of so many octets of a word, little-endian."""
 _NOT_A_NUMBER = np.array([np.nan]).view(np.int64)[0]
+
+
+class Interned:
+    """A number for each row of words, in the order in which they were met."""
+
+    def __init__(self, width: int) -> None:
+        """None are known; a row has so many words."""
+        self.count = 0
+        self.table = np.empty((1024, width), dtype=np.int64)
+        self._slots = np.full(4096, -1, dtype=np.int64)
+
+    def numbers(self, rows: Integers) -> Integers:
+        """For each row its number; those that were not known are now."""
+        most = self.count + len(rows)
+        if most > len(self.table):
+            grown = np.empty((max(most, 2 * len(self.table)), self.table.shape[1]), dtype=np.int64)
+            grown[: self.count] = self.table[: self.count]
+            self.table = grown
+        if 2 * most > len(self._slots):
+            self._slots = np.full(1 << (4 * most - 1).bit_length(), -1, dtype=np.int64)
+            known = self.table[: self.count].copy()
+            intern(known, self.table, self._slots, 0, np.empty(self.count, dtype=np.int64))
+        numbers = np.empty(len(rows), dtype=np.int64)
+        self.count = intern(rows, self.table, self._slots, self.count, numbers)
+        return numbers
 
 
 class Texts:
@@ -20,14 +50,36 @@ class Texts:
     def __init__(self, known: Sequence[str] = ()) -> None:
         self.known = list(known)
         self._numbers = {text: number for number, text in enumerate(self.known)}
+        self._packed: dict[int, tuple[Interned, Integers]] = {}
+        """By width in words: the texts that were met as words, and their numbers."""
 
     def clear(self) -> None:
         """Forgets them all."""
         self.known = []
         self._numbers = {}
+        self._packed = {}
 
     def numbers(self, column: Any) -> Integers:
         """For each row its text's number; any number where the text is NULL."""
+        words = _packed(column)
+        return self._numbers_coded(column) if words is None else self._numbers_packed(column, words)
+
+    def _numbers_packed(self, column: Any, words: Integers) -> Integers:
+        """Short texts are told apart as words of 64 bits, which is several times cheaper than as texts."""
+        width = words.shape[1]
+        interned, numbers_of = self._packed.get(width) or (Interned(width), np.empty(0, dtype=np.int64))
+        known = interned.count
+        places = interned.numbers(words)
+        if interned.count > known:
+            rows = np.flatnonzero(places >= known)
+            _, firsts = np.unique(places[rows], return_index=True)
+            texts = column.take(pa.array(rows[firsts])).to_pylist()
+            numbers_of = np.append(numbers_of, [self.number(text) for text in texts])
+        self._packed[width] = interned, numbers_of
+        numbers: Integers = numbers_of[places]
+        return numbers
+
+    def _numbers_coded(self, column: Any) -> Integers:
         encoded = column.dictionary_encode()
         if len(encoded.dictionary) == 0:
             return np.zeros(len(column), dtype=np.int64)
@@ -47,6 +99,29 @@ class Texts:
             number = self._numbers[text] = len(self.known)
             self.known.append(text)
         return number
+
+
+def _packed(column: Any) -> Integers | None:
+    """Each text's length and bytes as words of 64 bits; None: some are too long, or NULL, or no plain texts."""
+    if not len(column) or column.null_count or not pa.types.is_string(column.type):
+        return None
+    _, offsets, data = column.buffers()
+    bounds = np.frombuffer(offsets, dtype=np.int32)[column.offset : column.offset + len(column) + 1]
+    lengths = np.diff(bounds)
+    width = -(-int(lengths.max()) // _WORD_BYTES)
+    if not 0 < width <= _TEXT_WORDS_MOST:
+        return None
+    begin, end = int(bounds[0]), int(bounds[-1])
+    octets = np.zeros(end - begin + width * _WORD_BYTES, dtype=np.uint8)
+    octets[: end - begin] = np.frombuffer(data, dtype=np.uint8)[begin:end]
+    words = np.empty((len(column), width + 1), dtype=np.int64)
+    words[:, 0] = lengths
+    at_any_octet = np.ndarray(len(octets) - _WORD_BYTES + 1, dtype="<i8", buffer=octets, strides=(1,))
+    for word in range(width):
+        here = _WORD_BYTES * word
+        words[:, 1 + word] = at_any_octet[bounds[:-1] - begin + here]
+        words[:, 1 + word] &= _FIRST_OCTETS[np.clip(lengths - here, 0, _WORD_BYTES)]
+    return words
 
 
 def as_words(column: Any, kind: Kind, texts: Texts) -> Integers:
@@ -84,9 +159,17 @@ class Keys:
     def __init__(self, kinds: Sequence[Kind]) -> None:
         self.kinds = tuple(kinds)
         self.texts = Texts()
-        self.count = 0
-        self.table = np.empty((1024, len(self.kinds) + 1), dtype=np.int64)
-        self._slots = np.full(4096, -1, dtype=np.int64)
+        self._interned = Interned(len(self.kinds) + 1)
+
+    @property
+    def count(self) -> int:
+        """How many partitions have a number."""
+        return self._interned.count
+
+    @property
+    def table(self) -> Integers:
+        """By partition its columns as words, and then which of them are NULL."""
+        return self._interned.table
 
     def numbers(self, columns: Sequence[Any | Integers], rows: int) -> Integers:
         """For each row its partition's number; a column is Arrow's, or numbers of `texts`."""
@@ -98,7 +181,7 @@ class Keys:
                 is_null = np.asarray(column.is_null())
                 keys[is_null, at] = 0
                 keys[:, -1] |= is_null.astype(np.int64) << at
-        return self._interned(keys)
+        return self._interned.numbers(keys)
 
     def numbers_of(self, table: Integers, texts: Texts) -> Integers:
         """The numbers of another's keys, whose texts are these."""
@@ -107,19 +190,18 @@ class Keys:
             if kind is Kind.STRING and len(keys):
                 lookup = np.array([self.texts.number(text) for text in texts.known] or [0], dtype=np.int64)
                 keys[:, at] = lookup[keys[:, at]]
-        return self._interned(keys)
+        return self._interned.numbers(keys)
 
     def key(self, number: int) -> tuple[Any, ...]:
         """The partition columns of a partition."""
-        return self.keys(np.array([number]))[0]
+        return tuple(value for (value,) in self.columns(np.array([number])))
 
-    def keys(self, numbers: Integers) -> list[tuple[Any, ...]]:
-        """The partition columns of partitions."""
+    def columns(self, numbers: Integers) -> list[list[Any]]:
+        """By partition column its values of these partitions."""
         words = self.table[numbers]
-        columns = [
+        return [
             as_values(words[:, at], words[:, -1] >> at & 1 != 0, kind, self.texts) for at, kind in enumerate(self.kinds)
         ]
-        return list(zip(*columns, strict=True)) if columns else [()] * len(numbers)
 
     def kept(self, numbers: Integers) -> "Keys":
         """Keys that know only these partitions, numbered in this order."""
@@ -130,7 +212,7 @@ class Keys:
                 used, inverse = np.unique(keys[:, at], return_inverse=True)
                 table = [kept.texts.number(self.texts.known[number]) for number in used.tolist()]
                 keys[:, at] = np.array(table, dtype=np.int64)[inverse] if len(table) else 0
-        kept._interned(keys)
+        kept._interned.numbers(keys)
         return kept
 
     def _words(self, column: Any, kind: Kind) -> Integers:
@@ -140,17 +222,3 @@ class Keys:
             words = floats.view(np.int64)
             words[np.isnan(floats)] = _NOT_A_NUMBER
         return words
-
-    def _interned(self, keys: Integers) -> Integers:
-        most = self.count + len(keys)
-        if most > len(self.table):
-            grown = np.empty((max(most, 2 * len(self.table)), self.table.shape[1]), dtype=np.int64)
-            grown[: self.count] = self.table[: self.count]
-            self.table = grown
-        if 2 * most > len(self._slots):
-            self._slots = np.full(1 << (4 * most - 1).bit_length(), -1, dtype=np.int64)
-            known = self.table[: self.count].copy()
-            intern(known, self.table, self._slots, 0, np.empty(self.count, dtype=np.int64))
-        numbers = np.empty(len(keys), dtype=np.int64)
-        self.count = intern(keys, self.table, self._slots, self.count, numbers)
-        return numbers

@@ -5,7 +5,6 @@ rows until they are final, groups them by partition in the total order, asks eac
 for all rules, and makes situations of what the kernel finds. Rules join a lane before its first row.
 """
 
-from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
@@ -25,13 +24,13 @@ from patterns.durations import microseconds
 from patterns.engine import kernel as k
 from patterns.engine.clock import Clock
 from patterns.engine.emitter import Emitter
+from patterns.engine.finds import Events, Finds
 from patterns.engine.interning import Keys, Texts, as_values
 from patterns.engine.kernel import Integers
-from patterns.engine.matcher import Ending, Event, Found, Trace
 from patterns.engine.packed import Assembly, Packed
 from patterns.engine.pools import Shape, grown, new_scratch, new_state, with_partitions, with_partitions_kept
 from patterns.engine.records import ROW_COLUMNS, STREAM_COLUMNS, Arrived, Layout, Recorder, RowEvaluator
-from patterns.engine.running import Counts, GivenUp, Outcome, decided_order, needs
+from patterns.engine.running import Counts, GivenUp, Outcome, needs
 from patterns.engine.situations import EventRef, Match, Narrator, as_python, event_ref, nearest_time
 from patterns.engine.skipping import rule_skip_error
 from patterns.engine.tails import Tails
@@ -43,8 +42,6 @@ from patterns.scene.site import Site
 SLOTS_MOST = 62
 _PARTITIONS_LEAST = 1 << 15
 """Partitions below which forgetting them is not worth while."""
-FoundByRule = dict[int, list[tuple[tuple[Any, ...], Found]]]
-"""By the rule's place what was found: the partition's key, and the match."""
 _WAITING_TABLES_MOST = 32
 """Tables of rows that wait, each of which is looked at in each step."""
 _BEFORE_ALL_US = -(2**63)
@@ -140,6 +137,15 @@ class _Grouped:
     partitions: Integers
     bounds: Integers
     order: Integers
+
+
+@dataclass(frozen=True, slots=True)
+class _Found:
+    """What was found of one rule, the kernel's records of it, and where that stands which it found last."""
+
+    finds: Finds
+    newest: int
+    records: Integers
 
 
 class Lane:
@@ -340,31 +346,31 @@ class Lane:
         held: list[pa.Table] = []
         late: list[tuple[EventRef, ...]] = []
         reached: list[int | None] = []
-        before_us = self.clock.watermark_us
+        before_us, rows_before = self.clock.watermark_us, self.counts.rows
         parts = [rows for units in arrived for rows in self._rows_of_units(units)]
         for rows, newest_by_source in zip(parts, newest, strict=True):
             late.append(self._judged(rows, held))
             for source, newest_us in newest_by_source:
                 self.clock.observe(source, newest_us)
             reached.append(self.clock.advance())
-            if self._is_limit_near(before_us, held):
+            if self._is_limit_near(before_us, self.counts.rows - rows_before):
                 # What is given up must not depend on which units came together.
                 self._hold(held)
                 outcomes += self._advanced(late, reached, before_us)
                 held, late, reached, before_us = [], [], [], self.clock.watermark_us
+                rows_before = self.counts.rows
         if late:
             self._hold(held)
             outcomes += self._advanced(late, reached, before_us)
         return outcomes
 
-    def _is_limit_near(self, before_us: int | None, held: Sequence[pa.Table]) -> bool:
-        """Whether rows that are held, or the time that has come, may lead to something being given up."""
+    def _is_limit_near(self, before_us: int | None, held: int) -> bool:
+        """Whether so many rows that are held, or the time that has come, may lead to something being given up."""
         limits, watermark_us = self.input.limits, self.clock.watermark_us
         if watermark_us is None:
             return False
-        rows = self.rows_waiting + sum(table.num_rows for table in held)
         is_time = limits.expired_before_us(before_us, watermark_us) is not None
-        return is_time or self.keys.count + rows > limits.partitions
+        return is_time or self.keys.count + self.rows_waiting + held > limits.partitions
 
     def source_ended(self, source: str) -> dict[str, Outcome]:
         """The source will send no more."""
@@ -572,11 +578,11 @@ class Lane:
         member.failure = member.failure or _in_own_names(member, error)
         self.state.failures[at] = -1
 
-    def _note_failures(self, found: FoundByRule) -> None:
+    def _note_failures(self, found: dict[int, _Found]) -> None:
         for at in np.flatnonzero(self.state.failures).tolist():
             member, failure = self.members[at], int(self.state.failures[at])
             if failure > 0 and member.failure is None:
-                member.failure = _error_of(member.bound, failure, found.get(at, ()))
+                member.failure = _error_of(member.bound, failure, found.get(at))
 
     # From what was found to situations.
 
@@ -584,7 +590,7 @@ class Lane:
         self,
         late: Sequence[tuple[EventRef, ...]],
         reached: Sequence[int | None],
-        found: FoundByRule | None = None,
+        found: dict[int, _Found] | None = None,
     ) -> list[dict[str, Outcome]]:
         """What units led to for each rule, see `_advanced`; what was found is taken from the kernel unless it was."""
         found = self._found() if found is None else found
@@ -610,7 +616,7 @@ class Lane:
                     outcome[member.name] = Outcome(tuple(matches[unit]), late[unit], given_up if is_last else ())
         return outcomes
 
-    def _found(self) -> FoundByRule:
+    def _found(self) -> dict[int, _Found]:
         """By rule what was found."""
         state = self.state
         count = int(state.controls[k.FOUND])
@@ -624,28 +630,30 @@ class Lane:
         records, threads = state.found[:count].copy(), state.found[:count, k.F_THREAD]
         words, nulls = state.registers[threads], state.threads[threads, k.T_NULLS]
         k.clear_found(state)
-        keys, listed, ends_of = self.keys.keys(records[:, k.F_PARTITION]), runs[:total].tolist(), [*ends.tolist(), 0]
         is_match = records[:, k.F_HOW] != k.GIVEN_UP
         for at in np.flatnonzero(~is_match).tolist():
             member, record = self.members[records[at, k.F_RULE]], records[at].tolist()
-            self._note_given_up(member, keys[at], record[k.F_END_ORDINAL], record[k.F_TIME])
-        found: dict[int, list[tuple[tuple[Any, ...], Found]]] = {}
+            key = self.keys.key(record[k.F_PARTITION])
+            self._note_given_up(member, key, record[k.F_END_ORDINAL], record[k.F_TIME])
+        begins, ranks = np.concatenate(([0], ends[:-1])), self.streams.ranks()
+        found: dict[int, _Found] = {}
         for rule in np.unique(records[is_match, k.F_RULE]).tolist():
             own = np.flatnonzero(is_match & (records[:, k.F_RULE] == rule))
+            order = _decided_order(records[own], ranks)
+            newest, own = int(np.argmax(order)), own[order]
             registers = self._registers(self.members[rule], words[own], nulls[own])
-            found[rule] = [
-                (keys[at], _found_of(record, remembered, listed[ends_of[at - 1] : ends_of[at]]))
-                for at, record, remembered in zip(own.tolist(), records[own].tolist(), registers, strict=True)
-            ]
+            keys = self.keys.columns(records[own, k.F_PARTITION])
+            found[rule] = _Found(
+                _finds(records[own], keys, registers, runs, begins[own], ends[own]), newest, records[own]
+            )
         return found
 
-    def _registers(self, member: Member, words: Integers, nulls: Integers) -> list[tuple[Any, ...]]:
-        """What matches of the rule remember."""
-        columns = [
+    def _registers(self, member: Member, words: Integers, nulls: Integers) -> list[list[Any]]:
+        """What matches of the rule remember, by register."""
+        return [
             words[:, at].tolist() if kind is None else as_values(words[:, at], nulls >> at & 1 != 0, kind, self.texts)
             for at, kind in enumerate(member.readers)
         ]
-        return list(zip(*columns, strict=True)) if columns else [()] * len(words)
 
     def _note_given_up(self, member: Member, key: tuple[Any, ...], threads: int, since_us: int) -> None:
         partition = self._partition_of(key)
@@ -656,17 +664,15 @@ class Lane:
         parts = zip(self.input.keys, key, self.input.kinds, strict=True)
         return {name: as_python(value, kind) for name, value, kind in parts}
 
-    def _emitted(
-        self, member: Member, found: list[tuple[tuple[Any, ...], Found]], marks: Sequence[int]
-    ) -> list[tuple[int, Match]]:
+    def _emitted(self, member: Member, found: _Found, marks: Sequence[int]) -> list[tuple[int, Match]]:
         """The matches that become situations, in the order in which they were decided, with the unit that did it."""
-        newest_us, names = self.clock.newest_us(), self.streams.names
-        matches = []
-        for key, each in sorted(found, key=lambda pair: decided_order(pair[1], names)):
-            made = member.narrator.match(key, each)
-            now_us = newest_us if each.decided_us is None else each.decided_us
-            if member.emitter.lets_through(made, now_us):
-                matches.append((_unit_of(each, marks), made))
+        newest_us, finds = self.clock.newest_us(), found.finds
+        made = zip(_units_of(found.records, marks), member.narrator.matches(finds), finds.decided_us, strict=True)
+        lets_through = member.emitter.lets_through
+        matches = [
+            (unit, match) for unit, match, at_us in made
+            if lets_through(match, newest_us if at_us is None else at_us)
+        ]  # fmt: skip
         member.matches += len(matches)
         return matches
 
@@ -792,12 +798,55 @@ class Lane:
         return total
 
 
-def _unit_of(found: Found, marks: Sequence[int]) -> int:
-    """The unit that made the match final: a row is once the watermark lies behind it, a time once it is reached."""
-    if len(marks) == 1 or found.decided_us is None:
-        return 0
-    after = bisect_left if found.decided_by is None else bisect_right
-    return after(marks, found.decided_us)
+def _finds(
+    records: Integers,
+    keys: list[list[Any]],
+    registers: list[list[Any]],
+    runs: Integers,
+    begins: Integers,
+    ends: Integers,
+) -> Finds:
+    """The matches of these records, by column."""
+
+    def events(stream: int, sequence: int, time: int) -> Events:
+        return Events(records[:, stream].tolist(), records[:, sequence].tolist(), records[:, time].tolist())
+
+    decided_us: list[int | None] = records[:, k.F_DECIDED_TIME].tolist()
+    for at in np.flatnonzero(records[:, k.F_HOW] == k.BY_END).tolist():
+        decided_us[at] = None
+    return Finds(
+        keys=keys,
+        first=events(k.F_STREAM, k.F_SEQUENCE, k.F_TIME),
+        last=events(k.F_END_STREAM, k.F_END_SEQUENCE, k.F_END_TIME),
+        decided_us=decided_us,
+        numbers=[0] * len(records),
+        registers=registers,
+        runs=runs,
+        begins=begins,
+        ends=ends,
+    )
+
+
+def _decided_order(records: Integers, ranks: Integers) -> Integers:
+    """The order of `patterns.engine.running.decided_order`, in which rows decide what no time does."""
+    by_row, by_end = records[:, k.F_HOW] == k.BY_ROW, records[:, k.F_HOW] == k.BY_END
+    decided = [
+        np.where(by_end, 0, records[:, k.F_DECIDED_TIME]),
+        by_row,
+        ranks[np.where(by_row, records[:, k.F_DECIDED_STREAM], 0)] * by_row,
+        np.where(by_row, records[:, k.F_DECIDED_SEQUENCE], 0),
+    ]
+    first = [records[:, k.F_TIME], ranks[records[:, k.F_STREAM]], records[:, k.F_SEQUENCE]]
+    return np.lexsort([by_end, *decided, *first][::-1])
+
+
+def _units_of(records: Integers, marks: Sequence[int]) -> list[int]:
+    """The units that made matches final: a row is once the watermark lies behind it, a time once it is reached."""
+    decided_us = records[:, k.F_DECIDED_TIME]
+    reached, passed = (np.searchsorted(marks, decided_us, side=side) for side in ("left", "right"))
+    units = np.where(records[:, k.F_HOW] == k.BY_ROW, passed, reached)
+    units[records[:, k.F_HOW] == k.BY_END] = 0
+    return units.tolist() if len(marks) > 1 else [0] * len(units)
 
 
 def _by_time(tables: Sequence[pa.Table]) -> pa.Table:
@@ -814,22 +863,6 @@ def _reads(packed: Packed) -> dict[str, Kind]:
     return {part.name: part.kind for part in where if isinstance(part, Column) and part.name not in _IMPLIED}
 
 
-def _found_of(record: list[int], registers: tuple[Any, ...], runs: list[list[int]]) -> Found:
-    trace: Trace | None = None
-    for variable, stream, first, last, ordinal, rows in runs:
-        trace = (trace, variable, stream, first, last, ordinal, rows)
-    assert trace is not None, "a match has rows"
-    # In the order of `kernel.F_RULE` and so on.
-    _, _, stream, sequence, time, _, end_stream, end_sequence, end_time, end_ordinal, how, *decided = record
-    ending = Ending(registers, trace, (end_stream, end_sequence, end_time), end_ordinal)
-    first_event: Event = (stream, sequence, time)
-    if how == k.BY_END:
-        return Found(first_event, ending, None, None)
-    decided_us, decided_stream, decided_sequence = decided
-    decided_by = (decided_stream, decided_sequence, decided_us) if how == k.BY_ROW else None
-    return Found(first_event, ending, decided_us, decided_by)
-
-
 def _reader(bound: BoundRule, at: int) -> Kind | None:
     register = bound.registers[at]
     if register.how in ("rows", "values") or register.slot is None:
@@ -837,11 +870,12 @@ def _reader(bound: BoundRule, at: int) -> Kind | None:
     return bound.slots[register.slot].kind
 
 
-def _error_of(bound: BoundRule, failure: int, found: Sequence[tuple[tuple[Any, ...], Found]]) -> PatternError:
+def _error_of(bound: BoundRule, failure: int, found: _Found | None) -> PatternError:
     """What the kernel means by this; of what it found, the match at which it went no further is the last."""
     if failure in (k.SKIP_NOWHERE, k.SKIP_FOR_EVER):
-        _, last = found[-1]
-        return rule_skip_error(bound, last.first, last.ending.event, failure == k.SKIP_FOR_EVER)
+        assert found is not None, "a skip is that of a match"
+        first, last = (events.event(found.newest) for events in (found.finds.first, found.finds.last))
+        return rule_skip_error(bound, first, last, failure == k.SKIP_FOR_EVER)
     return LimitError(
         f"a partition has more partial matches than the limit `threads`, {bound.limits.threads}. "
         "Begin the pattern with a rarer row, or shorten WITHIN"

@@ -33,6 +33,7 @@ from patterns.durations import microseconds
 from patterns.engine.clock import Clock
 from patterns.engine.emitter import Emitter
 from patterns.engine.engine import Engine, Key
+from patterns.engine.finds import Finds
 from patterns.engine.matcher import Found, Loss
 from patterns.engine.saved import Saved, decode, encode, partitions_from_json, partitions_to_json
 from patterns.engine.situations import EventRef, Match, Narrator, as_microseconds, as_python, event_ref, nearest_time
@@ -388,13 +389,14 @@ class RuleRun:
 
     def _emitted(self, found: list[tuple[Key, Found]]) -> tuple[Match, ...]:
         """The matches that become situations, in the order in which they were decided."""
-        newest_us = self._clock.newest_us()
+        newest_us, names = self._clock.newest_us(), self._streams.names
+        found = sorted(found, key=lambda pair: decided_order(pair[1], names))
+        made = self._narrator.matches(Finds.of(found)) if found else ()
         matches = []
-        for key, each in sorted(found, key=lambda pair: decided_order(pair[1], self._streams.names)):
-            made = self._narrator.match(key, each)
+        for (_, each), match in zip(found, made, strict=True):
             now_us = newest_us if each.decided_us is None else each.decided_us
-            if self._emitter.lets_through(made, now_us):
-                matches.append(made)
+            if self._emitter.lets_through(match, now_us):
+                matches.append(match)
         self.counts.matches += len(matches)
         return tuple(matches)
 

@@ -9,17 +9,17 @@ one is told to begin again from the log.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
-from functools import cache
+from functools import cache, partial
 from typing import Any, Literal
 
 from events import Draft, Segment, StreamName
-from patterns.engine.situations import EventRef, Match
+from patterns.engine.situations import EventRef
 from patterns.errors import PatternError, RuleTooSlow
 from patterns.processor.deploying import Service, retirement_draft
 from patterns.processor.members import Finding, Member
 from patterns.processor.passes import Pass
 from patterns.processor.saving import Mark, SavedState, mark_bytes, mark_name, mark_of, state_bytes, state_name
-from patterns.processor.writing import drafts_of
+from patterns.processor.writing import drafts_of_each
 from store import Checkpoint, Log
 
 
@@ -44,6 +44,15 @@ class Work:
     rule_events: list[Segment]
 
 
+@dataclass(frozen=True, slots=True)
+class Written:
+    """A finding, how many situations it tells, and these as segments to append."""
+
+    finding: Finding
+    situations: int
+    drafts: list[Draft]
+
+
 class Committer:
     """Writes what is found. Not for several threads at once."""
 
@@ -61,11 +70,28 @@ class Committer:
         self._at = at
         self._is_recording_ends = is_recording_ends
 
-    def commit(self, work: Work, leaving: Sequence[Member], *, is_saving: bool) -> int:
+    def written(self, work: Work) -> list[Written]:
+        """What was found as segments to append.
+
+        A rule whose situations cannot be written is marked as failed where the first of these was found, as one that
+        raises, and what it found from there on is taken out of the work: the others go on.
+        """
+        of_member: dict[str, list[int]] = {}
+        for place, each in enumerate(work.findings):
+            of_member.setdefault(each.member.name, []).append(place)
+        written: dict[int, Written] = {}
+        for places in of_member.values():
+            written |= zip(places, self._written_of([work.findings[place] for place in places]), strict=False)
+        ordered = [written[place] for place in sorted(written)]
+        work.findings[:] = [each.finding for each in ordered]
+        return ordered
+
+    def commit(self, work: Work, written: Sequence[Written], leaving: Sequence[Member], *, is_saving: bool) -> int:
         """Append what was found, and set the marks; the number of situations appended.
 
         Args:
             work: What was found.
+            written: The same as segments.
             leaving: The rules that leave service with it.
             is_saving: Whether what the rules remember is saved, too.
 
@@ -80,14 +106,15 @@ class Committer:
         moving = [each for each in members if each in leaving or each in saving or each.name in said]
         if not moving:
             return 0
-        told = [(each, each.member.told(each, self._is_before_end_of(each.member))) for each in work.findings]
         states = {each.name: state_bytes(_state(work, each)) for each in saving}
         places = {each.name: mark_name(self._station, *each.service.key) for each in moving}
         with self._log.transaction() as transaction:
             locked = transaction.checkpoints(list(places.values()))
             stored = {each.name: self._agreed(work, each, mark_of(locked[places[each.name]])) for each in moving}
-            fresh = [(each, matches) for each, matches in told if matches and _is_new(each, stored[each.member.name])]
-            drafts = [draft for each, matches in fresh for draft in self._drafts(each.member, matches)]
+            fresh = [
+                each for each in written if each.drafts and _is_new(each.finding, stored[each.finding.member.name])
+            ]
+            drafts = [draft for each in fresh for draft in each.drafts]
             marks, checkpoints = {}, {}
             for member in moving:
                 before = stored[member.name]
@@ -111,7 +138,7 @@ class Committer:
             member.mark = marks[member.name]
         for member in leaving:
             work.rules.remove(member)
-        return sum(len(matches) for _, matches in fresh)
+        return sum(each.situations for each in fresh)
 
     def end_of(self, service: Service, error: Exception, position: int) -> list[Draft]:
         """The event that says that a version cannot go on."""
@@ -126,8 +153,23 @@ class Committer:
             return []
         return self.end_of(member.service, member.failure, member.failed_at)
 
-    def _drafts(self, member: Member, matches: list[Match]) -> list[Draft]:
-        return drafts_of(member.rule, self._station, matches, is_shadow=member.service.is_shadow)
+    def _written_of(self, findings: Sequence[Finding]) -> list[Written]:
+        """What findings of one rule are as segments; those before the first that cannot be written."""
+        member = findings[0].member
+        is_before_end = self._is_before_end_of(member)
+        told = [member.told(each, is_before_end) for each in findings]
+        write = partial(drafts_of_each, member.rule, self._station, is_shadow=member.service.is_shadow)
+        try:
+            drafts = write(told)
+        except Exception:  # Whatever it is, the other rules go on; which finding it is shows one by one.
+            drafts = []
+            for finding, matches in zip(findings, told, strict=True):
+                try:
+                    drafts += write([matches])
+                except Exception as error:  # The rule is named with it when it leaves.
+                    member.failure, member.failed_at = error, finding.position
+                    break
+        return [Written(each, len(matches), few) for each, matches, few in zip(findings, told, drafts, strict=False)]
 
     def _agreed(self, work: Work, member: Member, stored: Mark | None) -> Mark:
         """The rule's mark in the log, which may be further on than what this processor knows.

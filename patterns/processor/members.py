@@ -76,7 +76,9 @@ class Member:
             finding: What it found.
             began_in_time: Whether an event lies before the rule's retirement.
         """
-        matches = [each for each in finding.outcome.matches if each.situation_id not in self.known]
+        matches = list(finding.outcome.matches)
+        if self.known:
+            matches = [each for each in matches if each.situation_id not in self.known]
         gone = self.service.retirement
         if gone is None or finding.position <= gone.position:
             return matches

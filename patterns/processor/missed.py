@@ -9,7 +9,8 @@ from events import Draft, RuleMissed, StreamName, batch_of, encode
 from patterns.engine.running import GivenUp
 from patterns.engine.situations import EventRef
 from patterns.files.rule import Rule
-from patterns.processor.writing import SOURCE, json_of, producer_of
+from patterns.processor.situation_rows import json_of
+from patterns.processor.writing import SOURCE, producer_of
 
 What = Literal["late_events", "future_events", "partial_matches"]
 

@@ -150,6 +150,7 @@ class Pass:
         """
         findings: list[Finding] = []
         together: list[_Part] = []
+        events = 0
         for segment in segments:
             try:
                 batch = decode(segment, self._catalogue)
@@ -159,15 +160,16 @@ class Pass:
                 continue
             self.events_unsaved += segment.header.event_count
             is_control = batch.type in CONTROL
-            is_full = sum(len(part.rows) for part in together) + len(batch) > self._limits.events_together
+            is_full = events + len(batch) > self._limits.events_together
             if together and (is_control or is_full or is_one_by_one):
                 findings += self._pushed(together)
-                together = []
+                together, events = [], 0
             if any(segment.stream.type in types for types in self._sets):
                 together.append(_Part(segment, batch.type, self._believed(segment, batch)))
+                events += len(together[-1])
             if is_control:
                 findings += self._pushed(together)
-                together = []
+                together, events = [], 0
                 self.position = segment.position
                 findings += self._controlled(segment, batch)
         findings += self._pushed(together)
@@ -396,7 +398,9 @@ def _spread(texts: Sequence[str], bounds: Sequence[int]) -> pa.DictionaryArray:
     """A column with one text for each unit's rows."""
     numbers = {text: number for number, text in enumerate(dict.fromkeys(texts))}
     of_units = np.array([numbers[text] for text in texts], dtype=np.int32)
-    return pa.DictionaryArray.from_arrays(pa.array(np.repeat(of_units, np.diff(bounds))), pa.array(list(numbers)))
+    return pa.DictionaryArray.from_arrays(
+        pa.array(np.repeat(of_units, np.diff(bounds))), pa.array(list(numbers), pa.string())
+    )
 
 
 def site_at(log: Log, position: int) -> list[SiteEvent]:

@@ -505,8 +505,9 @@ class Processor:
         rules.save_at, rules.events_unsaved = self._clock() + self._limits.save_every_s, 0
 
     def _commit(self, work: Work, *, is_saving: bool) -> int:
+        written = self._committer.written(work)
         leaving = self._leaving(work.rules)
-        situations = self._committer.commit(work, leaving, is_saving=is_saving)
+        situations = self._committer.commit(work, written, leaving, is_saving=is_saving)
         for member in leaving:
             if member.failure is not None:
                 self._set_aside(member.service, member.failure)

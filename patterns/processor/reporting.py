@@ -19,7 +19,7 @@ class Report:
     Attributes:
         service: How the log says it stands.
         state: In one word: runs, shadow, finishes, retired, failed, too_slow.
-        position: Position up to which it has seen the log and that is kept: where it would go on.
+        position: Position up to which all that it found is in the log.
         lag: Segments of the log behind that; 0 for one out of service.
         watermark: No event before this time was still expected when it was saved; None: nothing was known.
         counts: What it had seen, found and still remembered when it was saved.
@@ -52,7 +52,7 @@ def _report(log: Log, station: str, head: int, service: Service, missed: dict[st
     counts = dict(mark.report)
     watermark = counts.pop("watermark", None)
     uncalibrated = counts.pop("uncalibrated", {})
-    position = max(mark.saved, service.after)
+    position = max(mark.position, service.after)
     return Report(
         service=service,
         state=state,

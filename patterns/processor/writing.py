@@ -3,11 +3,9 @@
 Pure: the same match is the same event, whether it was found online or in a backtest.
 """
 
-import json
-import math
-from collections.abc import Iterator, Mapping, Sequence
-from datetime import datetime, timedelta
-from typing import Any
+from collections.abc import Iterator, Sequence
+from itertools import accumulate, pairwise
+from typing import TypeVar
 
 import pyarrow as pa
 
@@ -20,11 +18,14 @@ from events import (
     SituationShadowed,
     StreamName,
     encode,
-    schema_of,
+    events_of,
 )
 from patterns.engine.running import SITUATIONS_SOURCE
 from patterns.engine.situations import Match
 from patterns.files.rule import Rule
+from patterns.processor.situation_rows import situation_rows, together
+
+S = TypeVar("S", bound=EventType)
 
 SOURCE = SITUATIONS_SOURCE
 """Source of deployments, and of situations of a rule that is not partitioned by source."""
@@ -39,27 +40,48 @@ def producer_of(rule: Rule) -> Producer:
 
 def drafts_of(rule: Rule, station: str, matches: Sequence[Match], *, is_shadow: bool = False) -> list[Draft]:
     """The matches as situations to append: for each source one draft, or more where there are many, in order."""
+    (drafts,) = drafts_of_each(rule, station, [matches], is_shadow=is_shadow)
+    return drafts
+
+
+def drafts_of_each(
+    rule: Rule, station: str, findings: Sequence[Sequence[Match]], *, is_shadow: bool = False
+) -> list[list[Draft]]:
+    """For each finding its matches as drafts, see `drafts_of`; what they say is made for all findings at once."""
     event_type = SituationShadowed if is_shadow else SituationDetected
-    by_source: dict[str, list[Match]] = {}
-    for match in matches:
-        by_source.setdefault(str(match.partition.get("source") or SOURCE), []).append(match)
+    matches = [match for finding in findings for match in finding]
+    if not matches:
+        return [[] for _ in findings]
+    rows, sources = situation_rows(event_type, matches), _sources(matches)
+    producer = _producer(rule, matches[0])
+    bounds = pairwise(accumulate(map(len, findings), initial=0))
     return [
-        encode(StreamName.of(station, source, event_type.type_name), _batch(event_type, few), _producer(rule, few[0]))
-        for source, own in by_source.items()
-        for few in _pages(own)
+        [
+            encode(StreamName.of(station, source, event_type.type_name), EventBatch(event_type, few), producer)
+            for source, few in _pages(rows.slice(begin, end - begin), sources[begin:end])
+        ]
+        for begin, end in bounds
     ]
 
 
-def _pages(matches: list[Match]) -> Iterator[list[Match]]:
-    for begin in range(0, len(matches), SITUATIONS_TOGETHER):
-        yield matches[begin : begin + SITUATIONS_TOGETHER]
+def _sources(matches: Sequence[Match]) -> list[str]:
+    """In whose streams the situations go."""
+    found: list[str] = []
+    for said, places in together(matches):
+        own = said.partitions(places).get("source") or [None] * len(places)
+        found += [str(source or SOURCE) for source in own]
+    return found
 
 
-def _batch(event_type: type[EventType], matches: Sequence[Match]) -> EventBatch:
-    """The events that say the matches: by column, because models are dear where there are many."""
-    rows = [_fields(match) for match in matches]
-    columns = [pa.array([row[field.name] for row in rows], field.type) for field in schema_of(event_type)]
-    return EventBatch(event_type, pa.RecordBatch.from_arrays(columns, schema=schema_of(event_type)))
+def _pages(rows: pa.RecordBatch, sources: Sequence[str]) -> Iterator[tuple[str, pa.RecordBatch]]:
+    """The rows by source, so many together at most."""
+    by_source: dict[str, list[int]] = {}
+    for at, source in enumerate(sources):
+        by_source.setdefault(source, []).append(at)
+    for source, own in by_source.items():
+        of_source = rows if len(by_source) == 1 else rows.take(pa.array(own))
+        for begin in range(0, len(own), SITUATIONS_TOGETHER):
+            yield source, of_source.slice(begin, SITUATIONS_TOGETHER)
 
 
 def _producer(rule: Rule, match: Match) -> Producer:
@@ -69,62 +91,15 @@ def _producer(rule: Rule, match: Match) -> Producer:
 
 def situation_of(match: Match) -> SituationDetected:
     """The event that says the match."""
-    return SituationDetected(**_fields(match))
+    return _event_of(SituationDetected, match)
 
 
 def shadow_of(match: Match) -> SituationShadowed:
     """The event that says the match of a rule in shadow."""
-    return SituationShadowed(**_fields(match))
+    return _event_of(SituationShadowed, match)
 
 
-def json_of(values: Mapping[str, Any]) -> str:
-    """JSON of partition columns or measures: times in ISO 8601, durations in seconds, NaN as null."""
-    try:
-        return _JSON.encode(dict(values))
-    except ValueError:
-        return _JSON.encode(_finite(dict(values)))
-
-
-def _fields(match: Match) -> dict[str, Any]:
-    return {
-        "time": match.decided_at or match.last.time,
-        "situation": match.situation_id,
-        "rule": match.rule,
-        "rule_version": match.version,
-        "rule_hash": match.rule_hash,
-        "severity": match.severity,
-        "title": match.title,
-        "partition": json_of(match.partition),
-        "measures": json_of(match.measures),
-        "began_at": match.first.time,
-        "ended_at": match.last.time,
-        "lineage": tuple(
-            {
-                "variable": variable,
-                "stream": each.stream,
-                "first_sequence": each.first_sequence,
-                "last_sequence": each.last_sequence,
-                "events": each.rows,
-            }
-            for variable, ranges in (*match.lineage.items(), *match.judged_by.items())
-            for each in ranges
-        ),
-    }
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    if isinstance(value, dict):
-        return {name: _finite(each) for name, each in value.items()}
-    return [_finite(each) for each in value] if isinstance(value, list | tuple) else value
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, datetime):
-        return value.isoformat()
-    assert isinstance(value, timedelta), f"rules have no values of {type(value)}"
-    return value.total_seconds()
-
-
-_JSON = json.JSONEncoder(default=_plain, ensure_ascii=False, allow_nan=False)
+def _event_of(event_type: type[S], match: Match) -> S:
+    (event,) = events_of(EventBatch(event_type, situation_rows(event_type, [match])))
+    assert isinstance(event, event_type), "a batch holds events of its type"
+    return event

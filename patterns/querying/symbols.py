@@ -202,6 +202,8 @@ class Symbols:
             if function_name(node) in NAVIGATION or function_name(node) in aggregates():
                 what = f"{function_name(node)} must not stand here: there is no match to look at yet"
                 self._fail(clause, what, node, scalar)
+        if not any(isinstance(node, exp.Column) for node in tree.walk()):
+            self._fail(clause, f"{sql_of(tree)} is the same for every row; name a column", tree, scalar)
         resolved = self.over_columns(tree, clause, scalar.at)
         self.check_types(clause, scalar, resolved, self.types)
         return resolved.name if isinstance(resolved, exp.Column) else name.name, sql_of(resolved)

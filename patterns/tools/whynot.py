@@ -59,7 +59,8 @@ class Question:
 
     Attributes:
         at: The time at which the rule should have fired, or was expected to have begun to.
-        subject: Track, plate, ...: the subject of rows, or the value of a partition column, as text.
+        subject: Track, plate, ...: the subject of rows, or the value of a partition column, as text; the source
+            where a rule is partitioned by nothing else.
         source: Only rows of this source; None: of any.
         window: How far before and after the time is looked.
     """
@@ -209,7 +210,13 @@ class _Case:
 
     def _subject_columns(self, rows: pa.Table) -> list[str]:
         names = dict.fromkeys(["subject", *self.bound.keys])
-        return [name for name in names if name in rows.column_names and name not in ("source", "station", "type")]
+        others = {"source", "station", "type"} - ({"source"} if self._is_of_sources else set())
+        return [name for name in names if name in rows.column_names and name not in others]
+
+    @property
+    def _is_of_sources(self) -> bool:
+        """Whether a source is what the rule is about, as one that waits for what does not come."""
+        return "source" in self.bound.keys and set(self.bound.keys) <= {"source", "station"}
 
     def _nobody(self, rows: pa.Table) -> str:
         question = self.question
@@ -222,11 +229,12 @@ class _Case:
         return f"{said}; there are, nearest in time first: {', '.join(others[:8])}"
 
     def _subjects_by_distance(self, rows: pa.Table) -> list[str]:
-        if "subject" not in rows.column_names:
+        name = "source" if self._is_of_sources else "subject"
+        if name not in rows.column_names:
             return []
         apart = [abs(time - self.question.at) for time in rows.column("time").to_pylist()]
         nearest: dict[str, timedelta] = {}
-        for subject, each in zip(rows.column("subject").to_pylist(), apart, strict=True):
+        for subject, each in zip(rows.column(name).to_pylist(), apart, strict=True):
             if subject is not None:
                 nearest[subject] = min(each, nearest.get(subject, each))
         return sorted(nearest, key=lambda subject: (nearest[subject], subject))

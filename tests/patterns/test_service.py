@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from events import CameraCalibrated, StreamName, batch_of, encode
+from events import CameraCalibrated, PlateRead, StreamName, batch_of, encode
 from patterns import parse_rule
 from patterns.engine.ruleset import RuleSetRun
 from patterns.engine.situations import Narrator
@@ -201,15 +201,15 @@ def test_a_rule_that_raises_anything_is_retired_with_its_position_and_comes_back
 ) -> None:
     walkers(log)
     deployed(log, rule("breaks"), rule())
-    original = Narrator.match
+    original = Narrator.matches
 
-    def breaks(self: Narrator, key: Any, found: Any) -> Any:
+    def breaks(self: Narrator, finds: Any) -> Any:
         if self.rule.rule == "breaks":
             raise ZeroDivisionError("by zero")
-        return original(self, key, found)
+        return original(self, finds)
 
     with monkeypatch.context() as broken:
-        broken.setattr(Narrator, "match", breaks)
+        broken.setattr(Narrator, "matches", breaks)
         processor = Processor(log, STATION)
         processor.catch_up()
     assert len(situations(log)) >= 8
@@ -242,6 +242,58 @@ def test_a_rule_that_fails_among_segments_read_together_has_told_what_it_found_b
     assert said_of[0] == said_of[1]
     assert "SKIP TO LAST" in said_of[0][0]
     assert [name for name, _ in said_of[0][1]].count("breaks") >= 1
+
+
+@pytest.mark.parametrize("is_compiled", [True, False])
+def test_a_measure_that_cannot_be_had_ends_its_rule_and_no_other(
+    log: Log, monkeypatch: pytest.MonkeyPatch, is_compiled: bool
+) -> None:
+    monkeypatch.setattr("patterns.engine.compiling.is_compiled", lambda: is_compiled)
+    deployed(log, rule("measures", measures="ground_x(outside.x, inside.y) AS metres"), rule())
+    walkers(log)
+    processor = Processor(log, STATION)
+    processor.catch_up()
+    (gone,) = said(log, "rule_retired")
+    assert (gone.rule, gone.why) == ("measures", "failed")
+    assert "gate" in gone.reason
+    assert [each.rule for each in situations(log)] == ["enters"] * 8
+
+
+_WORDY = """
+rule: wordy
+version: 1
+title: "{plate}{plate}{plate}{plate}{plate}"
+severity: info
+match: |
+  SELECT * FROM plate_read MATCH_RECOGNIZE (
+    PARTITION BY source ORDER BY time, sequence
+    MEASURES seen.plate AS plate
+    ONE ROW PER MATCH AFTER MATCH SKIP PAST LAST ROW
+    PATTERN (seen) DEFINE seen AS seen.plate IS NOT NULL)
+"""
+
+
+def read(second: float, plate: str) -> PlateRead:
+    """A plate where no box matters."""
+    box = dict.fromkeys(("x1", "y1", "x2", "y2"), 1.0)
+    nothing: dict[str, Any] = dict.fromkeys(("country", "region", "candidates"))
+    return PlateRead(time=T0 + timedelta(seconds=second), plate=plate, confidence=1.0, frame=0, **box, **nothing)
+
+
+def test_a_situation_that_the_log_does_not_take_ends_its_rule_and_no_other(make_log: MakeLog) -> None:
+    said_of = []
+    for limits in (ProcessorLimits(segments=1), ProcessorLimits()):
+        log = make_log()
+        deployed(log, parse_rule(_WORDY), rule())
+        for second, plate in enumerate(("7A01234", "1" * 2**20, "7A01235")):
+            say(log, "gate", read(second, plate))
+        walkers(log)
+        Processor(log, STATION, limits=limits).catch_up()
+        (gone,) = said(log, "rule_retired")
+        said_of.append((gone.reason, [(each.rule, each.situation) for each in situations(log)]))
+    assert said_of[0] == said_of[1]
+    assert "situation_detected.title must be at most 4194304 bytes, got '5242880 bytes'" in said_of[0][0]
+    assert [name for name, _ in said_of[0][1]] == ["wordy"] + ["enters"] * 8
 
 
 def test_a_rule_that_is_too_slow_is_set_aside_and_named(log: Log, monkeypatch: pytest.MonkeyPatch) -> None:

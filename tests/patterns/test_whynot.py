@@ -307,3 +307,13 @@ def test_a_virtual_row_is_told_at_the_time_when_it_was_due() -> None:
         ("overdue", 1, BEGINNING + timedelta(seconds=10)),
     ]
     assert asked(alone(), table, second=5).verdict is Verdict.MATCHED
+
+
+def test_a_rule_that_is_partitioned_by_source_alone_is_asked_for_the_source() -> None:
+    text = LOITERING.replace("BY source, track_id", "BY source").replace("track {track_id}", "one")
+    bound = bind(parse_rule(text), SCHEMAS, SIZES)
+    assert asked(bound, rows([(0, 20), (1, 30), (2, 45)]), subject="gate").partition == {"source": "gate"}
+    with pytest.raises(SubjectUnclear, match=r"of 'gaet' between .*; there are, nearest in time first: gate$"):
+        asked(bound, rows([(0, 20)]), subject="gaet")
+    with pytest.raises(SubjectUnclear, match=r"no track_point of 'gate' between .*nearest in time first: 7$"):
+        asked(loitering(), rows([(0, 20)]), subject="gate")

@@ -107,20 +107,27 @@ def _ran(log: Log, rule: Rule, span: Span, limits: ProcessorLimits, output: Outp
         output.note(f"warning: {remark}")
     with output.progress(_label(rule), float(log.head())) as bar:
         result = backtested(log, bound, span, limits, bar.at)
-    _remark(bound, result, span.until is None, output)
+    _remark(bound, result, span, output)
     return result
 
 
-def _remark(bound: BoundRule, result: Backtested, is_open: bool, output: Output) -> None:
+def _remark(bound: BoundRule, result: Backtested, span: Span, output: Output) -> None:
     label = _label(bound.rule)
     if not result.rows:
         wanted = " or ".join(sorted(bound.types))
         is_derived = any(each in _DERIVED for each in bound.types)
         following = "vian stages run FILES derives them" if is_derived else "vian streams"
-        output.note(f"{label}: the log has no {wanted} that the rule could see. Next: {following}")
+        where = " behind --from" if span.after else ""
+        output.note(f"{label}: the log has no {wanted}{where} that the rule could see. Next: {following}")
+    if result.elsewhen and not result.matches:
+        times = f"{_time(min(result.elsewhen))} to {_time(max(result.elsewhen))}"
+        found = counted(len(result.elsewhen), "situation")
+        output.note(
+            f"{label}: {found} outside --since and --until, from {times}; times are UTC unless they say otherwise"
+        )
     if result.late:
         output.note(f"{label}: {result.late} events came too late to take part, as online")
-    if result.waiting and is_open:
+    if result.waiting and span.until is None:
         output.note(f"{label}: {result.waiting} events are not final yet: their source may still send earlier ones")
     if result.held_back:
         output.note(f"{label}: {result.held_back} matches were held back by once_per and cooldown")

@@ -131,7 +131,7 @@ def status(
 ) -> None:
     """How the deployed rules stand: lag, open state, what they missed, what they cost, and why one was set aside.
 
-    Of what a rule remembers, the numbers are those of when it was saved last.
+    The numbers are those of when a rule was saved last; the lag is from where it last found something or was saved.
     """
     settings = settings_for(data_dir, dsn, station=station)
     output = Output(is_json=as_json)
@@ -145,6 +145,7 @@ def status(
         output.note("No rule is deployed here. Next: vian rules deploy FILES")
         return
     output.table("Rules", _COLUMNS, [_row(each) for each in found])
+    output.note(f"Counted when each was saved last: every {settings.rules_save_s:g} s while events come (rules_save_s)")
     for each in found:
         for source, events in each.uncalibrated.items():
             output.line(f"{each.service.rule} version {each.service.version} found no metres in {events} events of "

@@ -39,7 +39,13 @@ def register(app: typer.Typer) -> None:
 def why_not_fired(
     rule: RuleName,
     at: Annotated[str, typer.Option("--at", help="When it should have fired (ISO 8601, UTC).")],
-    subject: Annotated[str, typer.Option("--subject", help="For whom: the track, plate, ... that events are about.")],
+    subject: Annotated[
+        str,
+        typer.Option(
+            "--subject",
+            help="For whom: the track, plate, ... that events are about; or the source, if the rule is about sources.",
+        ),
+    ],
     source: Annotated[str | None, typer.Option("--source", help="Only this source.", show_default="any")] = None,
     window: Annotated[
         str | None,

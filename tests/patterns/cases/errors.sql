@@ -564,3 +564,7 @@ SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES ▸unnest([id, 2]) AS n PA
 --- case a list comprehension
 SELECT * FROM t MATCH_RECOGNIZE (ORDER BY id MEASURES [▸e + 1 FOR e IN list(id)] AS n PATTERN (A))
 --- error a list comprehension must not stand here; write list_transform
+
+--- case an order by the number of a column
+SELECT * FROM t MATCH_RECOGNIZE (ORDER BY ▸1 MEASURES id AS i PATTERN (A))
+--- error ORDER BY: 1 is the same for every row; name a column

@@ -139,7 +139,7 @@ def test_all_files_are_checked_and_each_that_is_wrong_is_named_in_one_form(run: 
     assert ran.code == 2
     told = [line for line in ran.out.splitlines() if "error: " in line]
     assert [line.removeprefix(f"{tmp_path}/").split(": ")[0] for line in told] == [
-        "a.yaml:1:8", "b.yaml:1:7", "d.yaml:1:7", "e.yaml:15:7", "f.yaml", "g.yaml:13:5",
+        "a.yaml:1:8", "b.yaml:1:7", "d.yaml:1:7", "e.yaml:15:54", "f.yaml", "g.yaml:13:5",
     ]  # fmt: skip
     assert f"the rule 'twice' is also defined in {tmp_path}/c.yaml. Next: rename one" in told[2]
     assert "h v1, one is high: passed" in ran.out

@@ -131,3 +131,16 @@ def test_without_a_log_it_says_where_it_looked(run: Run, tmp_path: Path) -> None
     ran = run("rules", "backtest", "enters", "--data-dir", tmp_path / "empty")
     assert ran.code == 1
     assert "there is no log in" in ran.words
+
+
+def test_situations_outside_the_time_asked_for_are_told_of(walked: Log, run: Run) -> None:
+    place = ("--dsn", walked.dsn, "--station", STATION)
+    ran = run("rules", "backtest", "enters@1", "--since", "2026-01-01T11:00:00", *place)
+    assert ran.code == 0
+    assert "8 situations outside --since and --until, from 2026-01-01T10:00:02.000Z to" in ran.words
+    assert "outside" not in run("rules", "backtest", "enters@1", *place).words
+
+
+def test_a_backtest_from_where_nothing_follows_says_so(walked: Log, run: Run) -> None:
+    ran = run("rules", "backtest", "enters@1", "--from", "head", "--dsn", walked.dsn, "--station", STATION)
+    assert "the log has no track_point behind --from that the rule could see" in ran.words

@@ -6,7 +6,7 @@ from pathlib import Path
 import cv2
 import pytest
 
-from patterns.processor import deploy
+from patterns.processor import Processor, deploy
 from store import Log
 from tests.patterns.walkers import STATION, T0, add_video, end, point, rule, say
 from tests.vian.conftest import Run
@@ -105,3 +105,20 @@ def test_a_subject_of_two_sources_is_asked_back(passed_by: Log, run: Run) -> Non
         "note: zone 'yard' is of source gate, and all rows here are of yard: no condition on it is ever true" in ran.out
     )
     assert "the best attempt took 1 row and needed 1 more" in ran.out
+
+
+def test_a_rule_over_situations_is_settled_where_the_log_ends_as_in_a_backtest(
+    passed_by: Log, run: Run, tmp_path: Path
+) -> None:
+    Processor(passed_by, STATION).catch_up()
+    above = tmp_path / "above.yaml"
+    above.write_text(
+        'rule: above\nversion: 1\ntitle: "one"\nseverity: info\n'
+        "match: SELECT * FROM situation('enters') MATCH_RECOGNIZE (PARTITION BY source ORDER BY time, sequence "
+        "PATTERN (a) WITHIN INTERVAL '1' MINUTE)\n"
+    )
+    asked = ("--dsn", passed_by.dsn, "--json")
+    (found,) = run("rules", "backtest", above, *asked).out.splitlines()
+    ran = run("rules", "why-not", above, "--at", "2026-01-01T10:00:03Z", "--subject", "gate", *asked)
+    answer = json.loads(ran.out)
+    assert (answer["verdict"], answer["situation"]) == ("matched", json.loads(found)["situation"])
