@@ -206,6 +206,8 @@ class Lane:
         wider[:, : k.R_BITS + words] = rows[:, : k.R_BITS + words]
         first = k.R_BITS + self.layout.words
         wider[:, first : first + slots] = rows[:, k.R_BITS + words :]
+        # What no rule said of these rows is NULL, not a value.
+        wider[:, k.R_NULLS] |= (1 << len(self.layout.slots)) - (1 << slots)
         more = max(len(packed.bound.registers) - self.state.registers.shape[1], 0)
         registers = np.pad(self.state.registers, ((0, 0), (0, more)))
         self.state = self.state._replace(last_rows=wider, failures=np.append(failures, 0), registers=registers)

@@ -350,7 +350,9 @@ def _insert_rows(
     state, layout = lane.state, lane.layout
     moved = _moved(last_rows, own, layout, packed)
     is_new = state.last_ordinals[partitions] < 0
+    others = sum(1 << number for slot, number in layout.slots.items() if slot not in packed.slots)
     state.last_rows[partitions[is_new]] = moved[is_new]
+    state.last_rows[partitions[is_new], k.R_NULLS] |= others
     state.last_ordinals[partitions[is_new]] = ordinals[is_new]
     known, mine = partitions[~is_new], moved[~is_new]
     first = k.R_BITS + layout.words

@@ -222,7 +222,7 @@ def _waits(bound: BoundRule) -> list[Finding]:
     what = "the next row of its partition" if rows == 1 else f"up to {rows} further rows of its partition"
     message = (
         f"NEXT: a row that may be {', '.join(names)} waits for {what}, or the end of the input, and situations "
-        "with it. Next: write the row that follows as a variable of its own, if it may not be long in coming"
+        "with it. Next: write the row that follows as a variable of its own, so that WITHIN bounds the wait"
     )
     return [Finding("warning", message, passage.place(parse(passage).clause.pattern_at), "waits")]
 
