@@ -20,7 +20,7 @@ from patterns.binding.rows import SEQUENCE, STREAM, TIME
 from patterns.engine import kernel as k
 from patterns.engine import saved as general
 from patterns.engine.engine import Key, Open, machine_of
-from patterns.engine.interning import Texts, as_values, key_columns
+from patterns.engine.interning import Keys, Texts, as_values
 from patterns.engine.kernel import Integers
 from patterns.engine.lane_state import Saved, decoded, integers_of, own_layout
 from patterns.engine.matcher import Attempt, Block, Ending, Event, Matcher, Partition, Thread, Trace
@@ -79,9 +79,9 @@ class _Remembered:
 
     def partitions(self) -> list[tuple[Key, Open]]:
         """By key, what is remembered."""
-        kinds = [self.bound.columns[name] for name in self.bound.keys]
-        columns = key_columns(self.keys, kinds, Texts(self.saved.header["key_texts"]))
-        keys = list(zip(*columns, strict=True)) if columns else [()] * len(self.keys)
+        known = Keys([self.bound.columns[name] for name in self.bound.keys])
+        numbers = known.numbers_of(self.keys, Texts(self.saved.header["key_texts"]))
+        keys = list(zip(*known.columns(numbers), strict=True)) if self.bound.keys else [()] * len(numbers)
         tails = self._tails()
         cells = {cell[k.C_PARTITION]: cell for cell in self.pools.cells}
         begun = self._begun()
