@@ -3,6 +3,8 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 FLINK := .flink
+# What Python compiled is kept, whatever the shell says: a hundred processes of the tests read the same source.
+unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 .PHONY: help demo test nightly faults flink flink-test lint types contracts wheel-check clean

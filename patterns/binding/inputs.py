@@ -257,7 +257,10 @@ def _readable(arm: Arm, schemas: Mapping[str, pa.Schema], own: str, passage: Pas
             f"unknown event type {name!r}" if is_type else f"no rule {arm.situation_of!r} whose situations can be read"
         )
         have = ", ".join(known) or "none"
-        raise passage.error(f"FROM: {what}; there are: {have}{did_you_mean(name, known)}", arm.source_type.at)
+        following = "" if is_type else ". Next: give its file too, or deploy it"
+        raise passage.error(
+            f"FROM: {what}; there are: {have}{did_you_mean(name, known)}{following}", arm.source_type.at
+        )
     readable, unreadable = dict(ENVELOPE), {}
     for column in schemas[name]:
         kind = kind_of(column.type)

@@ -153,6 +153,11 @@ def as_values(words: Integers, is_null: NDArray[np.bool_], kind: Kind, texts: Te
     return values
 
 
+def key_columns(table: Integers, kinds: Sequence[Kind], texts: Texts) -> list[list[Any]]:
+    """By partition column its values, of a table of keys as `Keys` has it."""
+    return [as_values(table[:, at], table[:, -1] >> at & 1 != 0, kind, texts) for at, kind in enumerate(kinds)]
+
+
 class Keys:
     """A number for each partition: a row of partition columns. NULL equals NULL."""
 
@@ -198,10 +203,7 @@ class Keys:
 
     def columns(self, numbers: Integers) -> list[list[Any]]:
         """By partition column its values of these partitions."""
-        words = self.table[numbers]
-        return [
-            as_values(words[:, at], words[:, -1] >> at & 1 != 0, kind, self.texts) for at, kind in enumerate(self.kinds)
-        ]
+        return key_columns(self.table[numbers], self.kinds, self.texts)
 
     def kept(self, numbers: Integers) -> "Keys":
         """Keys that know only these partitions, numbered in this order."""

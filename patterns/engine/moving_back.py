@@ -20,7 +20,7 @@ from patterns.binding.rows import SEQUENCE, STREAM, TIME
 from patterns.engine import kernel as k
 from patterns.engine import saved as general
 from patterns.engine.engine import Key, Open, machine_of
-from patterns.engine.interning import Texts, as_values
+from patterns.engine.interning import Texts, as_values, key_columns
 from patterns.engine.kernel import Integers
 from patterns.engine.lane_state import Saved, decoded, integers_of, own_layout
 from patterns.engine.matcher import Attempt, Block, Ending, Event, Matcher, Partition, Thread, Trace
@@ -79,7 +79,9 @@ class _Remembered:
 
     def partitions(self) -> list[tuple[Key, Open]]:
         """By key, what is remembered."""
-        keys = self._keys()
+        kinds = [self.bound.columns[name] for name in self.bound.keys]
+        columns = key_columns(self.keys, kinds, Texts(self.saved.header["key_texts"]))
+        keys = list(zip(*columns, strict=True)) if columns else [()] * len(self.keys)
         tails = self._tails()
         cells = {cell[k.C_PARTITION]: cell for cell in self.pools.cells}
         begun = self._begun()
@@ -93,14 +95,6 @@ class _Remembered:
             partition = Partition(attempts, ordinal + 1, self._event(number), key)
             found.append((key, Open(partition, tails[number])))
         return found
-
-    def _keys(self) -> list[Key]:
-        texts = Texts(self.saved.header["key_texts"])
-        columns = [
-            as_values(self.keys[:, at], self.keys[:, -1] >> at & 1 != 0, self.bound.columns[name], texts)
-            for at, name in enumerate(self.bound.keys)
-        ]
-        return list(zip(*columns, strict=True)) if columns else [()] * len(self.keys)
 
     def _event(self, number: int) -> Event:
         record = self.last_rows[number]

@@ -39,6 +39,8 @@ def _words(complaint: Mapping[str, Any], got: str) -> str:
             return f"wanted a duration with its unit, such as 10 s{got}"
         case "too_long":
             return f"wanted {context['max_length']} values, got {context['actual_length']}"
+        case "too_short":
+            return f"wanted {context['min_length']} values or more, got {context['actual_length']}"
         case "finite_number":
             return f"wanted a finite number{got}"
         case "string_type":
