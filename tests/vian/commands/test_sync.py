@@ -126,7 +126,7 @@ def test_what_is_missing_or_wrong_is_told_before_anything_is_sent(
         (["--role", "central"], 2, "a central server needs to know its stations. Next: vian station add NAME"),
         (["--role", "central", "--stations-file", "gone.toml"], 2, "the stations file gone.toml cannot be read"),
         (["--role", "station", "--central", "http://x"], 2, "sync needs this station's token. Next: give --token-file"),
-        (["--role", "station", "--rules", "gone"], 2, "the rule file gone cannot be read"),
+        (["--role", "station", "--rules", "gone"], 2, "there is no gone to read rules from. Next: mkdir gone"),
         (["--role", "station", "--port", "70000"], 2, "port"),
         (["--role", "station", "--host", "192.0.2.1"], 1, "cannot listen on 192.0.2.1"),
         (["--role", "field"], 2, "--role"),
