@@ -301,9 +301,19 @@ class RuleRun:
                 self._clock.observe(source, newest)
             return
         is_situation = pc.equal(table.column("type"), SITUATION)
-        for rows, revives in ((table.filter(pc.invert(is_situation)), True), (table.filter(is_situation), False)):
+        for rows, revives in (
+            (table.filter(pc.invert(is_situation)), True),
+            (self._read_of(table.filter(is_situation)), False),
+        ):
             for source, newest in newest_by_source(rows):
                 self._clock.observe(source, newest, revives=revives)
+
+    def _read_of(self, situations: pa.Table) -> pa.Table:
+        """Those of the rules that are read: what a rule means does not depend on which others run beside it."""
+        rules = {each.situation_of for each in self.bound.inputs if each.type == SITUATION}
+        if None in rules or not situations.num_rows:
+            return situations
+        return situations.filter(pc.is_in(situations.column("rule"), pa.array(list(rules))))
 
     def _take(self, table: pa.Table) -> tuple[EventRef, ...]:
         """Holds the rows that are in time; the others."""

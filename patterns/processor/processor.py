@@ -155,7 +155,8 @@ class Processor:
             situations += self._finish_work()
             is_caught_up = self._follow(0.0 if self._joining else timeout_s)
             situations += self._finish_work()
-            for rules in list(self._joining):
+            joining = list(self._joining)
+            for rules in joining:
                 self._catch_up(rules)
                 situations += self._finish_work()
         except RunOneByOne as error:
@@ -166,7 +167,8 @@ class Processor:
             logger.warning("%s; going on from the log", error)
             self._is_stale, self._work = True, None
             return Step(self._position, False, 0)
-        return Step(self.position, is_caught_up and not self._joining, situations)
+        # What those behind have found may be read by those that lead.
+        return Step(self.position, is_caught_up and not joining, situations)
 
     def catch_up(self) -> int:
         """Run the rules over all that is there now, and save what they remember; the situations appended."""

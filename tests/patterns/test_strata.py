@@ -8,8 +8,9 @@ from patterns import Rule, RuleError, bind, parse_rule, run_tests
 from patterns.binding.strata import in_strata, situation_schema, strata, with_situations
 from patterns.processor import Processor, deploy
 from store import Log
+from tests.conftest import MakeLog
 from tests.patterns.samples import SCHEMAS, letter_rule
-from tests.patterns.test_processor import STATION, T0, rule, situations, walkers
+from tests.patterns.walkers import STATION, T0, add_video, end, rule, situations, walk, walkers
 
 TWICE = """
 rule: twice
@@ -93,6 +94,22 @@ def test_a_rule_over_situations_finds_what_they_say_whenever_it_runs(log: Log) -
     again = Processor(log, STATION, [high, low])
     assert again.catch_up() == 0
     assert len([each for each in situations(log) if each.rule == "twice"]) == len(found)
+
+
+def test_what_a_rule_over_situations_finds_does_not_depend_on_which_others_run(make_log: MakeLog) -> None:
+    found = []
+    for others in ([], [rule("others")]):
+        log = make_log()
+        add_video(log, "gate")
+        walk(log, range(12), tracks=2)
+        Processor(log, STATION, others).catch_up()  # the situations of the others stand in the log before all
+        processor = Processor(log, STATION, [*others, rule(), parse_rule(TWICE)])
+        processor.catch_up()
+        end(log, "gate")
+        processor.catch_up()
+        found.append([each.measures for each in situations(log) if each.rule == "twice"])
+    assert len(found[0]) > 1
+    assert found[0] == found[1]
 
 
 def test_a_read_of_all_situations_sees_neither_its_own_nor_those_that_rest_on_situations(log: Log) -> None:
