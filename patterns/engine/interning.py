@@ -74,7 +74,9 @@ class Texts:
             rows = np.flatnonzero(places >= known)
             _, firsts = np.unique(places[rows], return_index=True)
             texts = column.take(pa.array(rows[firsts])).to_pylist()
-            numbers_of = np.append(numbers_of, [self.number(text) for text in texts])
+            if interned.count > len(numbers_of):
+                numbers_of = np.concatenate((numbers_of[:known], np.empty(len(interned.table) - known, dtype=np.int64)))
+            numbers_of[known : interned.count] = [self.number(text) for text in texts]
         self._packed[width] = interned, numbers_of
         numbers: Integers = numbers_of[places]
         return numbers
