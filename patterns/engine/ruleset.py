@@ -11,6 +11,7 @@ Rules are known by their names. Outcomes are given for the rules that have
 something to say: a match, a late row, something given up.
 """
 
+import logging
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -30,6 +31,8 @@ if TYPE_CHECKING:
     # Numba takes a third of a second to import: only who runs rules pays that.
     from patterns.engine.lane import Lane
     from patterns.engine.packed import Packed
+
+logger = logging.getLogger(__name__)
 
 T = TypeVar("T")
 
@@ -148,17 +151,31 @@ class RuleSetRun:
             self._drop(name)
 
     def use_kernel(self) -> None:
-        """Rules that came before the kernel was compiled go on on it, if it is by now and can express them."""
+        """Rules that came before the kernel was compiled go on on it, if it is by now and can express them.
+
+        A rule that cannot be moved, for whatever reason, goes on where it is, and is not asked again.
+        """
         waiting = [name for name in self._alone if name not in self._stays_alone]
         if self._uses_kernel is not None or not waiting or not self._may_use_kernel:
             return
         for name in waiting:
-            packed = self._packed(self._alone[name].bound)
-            if packed is None:
+            try:
+                is_moved = self._is_moved(name)
+            except Exception as error:  # Whatever keeps it from moving, it runs where it is, and the others move.
+                logger.warning("rule %s goes on without the kernel: %s", name, error, exc_info=error)
+                is_moved = False
+            if is_moved:
+                del self._alone[name]
+            else:
                 self._stays_alone.add(name)
-                continue
-            self._add_to_lane(name, packed, _for_kernel(packed, self._alone[name].state()))
-            del self._alone[name]
+
+    def _is_moved(self, name: str) -> bool:
+        """Whether a rule that runs alone is in a lane now, with all that it remembers."""
+        packed = self._packed(self._alone[name].bound)
+        if packed is None:
+            return False
+        self._add_to_lane(name, packed, _for_kernel(packed, self._alone[name].state()))
+        return True
 
     def state(self, name: str) -> bytes:
         """All that the rule remembers; `add` goes on from it.

@@ -115,15 +115,16 @@ class Pass:
         if not any(each.types == member.types for each in self.members.values()):
             del self._sets[member.types]
 
-    def absorb(self, other: "Pass") -> None:
-        """Takes over the rules of a pass that stands at the same position.
-
-        Raises:
-            StateError: A rule does not understand its own state.
-        """
+    def absorb(self, other: "Pass") -> list[tuple[Member, Exception]]:
+        """Takes over the rules of a pass that stands at the same position; those that could not be, and why."""
         assert other.position == self.position, f"passes at {other.position} and {self.position} cannot be one"
+        refused: list[tuple[Member, Exception]] = []
         for member in other.members.values():
-            self.add(member, SavedState(other.position, 0, other.state(member), other.newest_us))
+            try:
+                self.add(member, SavedState(other.position, 0, other.state(member), other.newest_us))
+            except Exception as error:  # Whatever it is, the other rules go on; the caller names the rule.
+                refused.append((member, error))
+        return refused
 
     def state(self, member: Member) -> bytes:
         """All that the rule's run remembers."""
