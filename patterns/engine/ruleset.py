@@ -382,9 +382,14 @@ class RuleSetRun:
         from patterns.engine.packed import NotPacked, pack
 
         try:
-            return pack(bound)
+            packed = pack(bound)
+            _check_tables(packed)
         except NotPacked:
             return None
+        except Exception as error:  # Found out before it is among others, whom it would keep from their tables.
+            logger.warning("rule %s runs without the kernel: %s", bound.rule.rule, error, exc_info=error)
+            return None
+        return packed
 
     def _add_to_lane(self, name: str, packed: "Packed", state: bytes | None) -> None:
         from patterns.engine.lane_state import restored
@@ -432,6 +437,16 @@ def merged(parts: Iterable[Mapping[str, Outcome]]) -> Outcomes:
         for name, outcome in part.items():
             whole[name] = whole[name] + outcome if name in whole else outcome
     return whole
+
+
+def _check_tables(packed: "Packed") -> None:
+    """Makes the kernel's tables of the rule alone, as a lane makes them of many; raises whatever that raises."""
+    from patterns.engine.packed import Assembly
+    from patterns.engine.records import Layout
+
+    layout = Layout()
+    layout.add(packed.predicates, packed.slots, packed.zones)
+    Assembly(layout.bits, layout.slots, layout.words).tables([packed], is_strict=False)
 
 
 def _for_kernel(packed: "Packed", state: bytes) -> bytes:
