@@ -114,7 +114,7 @@ class RuleSetRun:
 
     # Rules come and go.
 
-    def add(self, bound: BoundRule, state: bytes | None = None, name: str | None = None) -> None:
+    def add(self, bound: BoundRule, state: bytes | None = None, name: str | None = None, spent_s: float = 0.0) -> None:
         """The rule takes part from the next step on.
 
         Args:
@@ -123,6 +123,7 @@ class RuleSetRun:
                 cameras what the set was told.
             name: What the set shall know it by, where that is not the rule's name: two versions of
                 a rule may run side by side.
+            spent_s: Seconds that it has taken elsewhere, from which its own go on.
 
         Raises:
             PatternError: The set has a rule of this name.
@@ -138,7 +139,7 @@ class RuleSetRun:
             self._add_to_lane(name, packed, None if state is None else _for_kernel(packed, state))
         self.failures.pop(name, None)
         self._names[name] = None
-        self._spent_s[name] = 0.0
+        self._spent_s[name] = spent_s
 
     def remove(self, name: str) -> None:
         """The rule takes no more part, and what it remembered is forgotten.

@@ -26,6 +26,7 @@ from patterns.processor import (
     stored_mark,
     stored_state,
 )
+from patterns.processor.members import Pace
 from store import Checkpoint, Log, LogUnavailable, Transaction
 from tests.conftest import MakeLog
 from tests.patterns.walkers import (
@@ -588,8 +589,8 @@ def test_a_saved_state_that_nothing_can_read_is_not_used_and_nothing_is_told_twi
     Processor(log, STATION).catch_up()
     original = RuleSetRun.add
 
-    def add(self: RuleSetRun, bound: Any, state: bytes | None = None, name: str | None = None) -> None:
-        original(self, bound, state if state is None else [][0], name)
+    def add(self: RuleSetRun, bound: Any, state: bytes | None, *more: Any) -> None:
+        original(self, bound, state if state is None else [][0], *more)
 
     monkeypatch.setattr(RuleSetRun, "add", add)
     processor = Processor(log, STATION)
@@ -597,3 +598,27 @@ def test_a_saved_state_that_nothing_can_read_is_not_used_and_nothing_is_told_twi
     assert "is run again from position 0, and nothing is appended twice: IndexError" in caplog.text
     assert processor.catch_up() == 0
     assert len(situations(log)) == 8
+
+
+def test_what_a_rule_has_spent_does_not_go_back_when_it_joins_the_others(
+    log: Log, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    walkers(log)
+    deployed(log, rule(), after=0)
+    spent: dict[int, list[float]] = {}
+    original = Pace.note
+
+    def note(self: Pace, spent_s: float, *more: Any) -> None:
+        original(self, spent_s, *more)
+        spent.setdefault(id(self), []).append(spent_s)
+        assert self.event_us >= 0
+
+    monkeypatch.setattr(Pace, "note", note)
+    processor = Processor(log, STATION, limits=ProcessorLimits(segments=5, window_events=1))
+    processor.catch_up()
+    deployed(log, rule("later"), after=0)
+    processor.catch_up()
+    walkers(log, "street")
+    processor.catch_up()
+    assert len(spent) == 2
+    assert all(each == sorted(each) and len(each) > 3 for each in spent.values())
