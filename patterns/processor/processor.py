@@ -286,7 +286,11 @@ class Processor:
         if not self._is_restored(member):
             if row.position > service.after:
                 member.known = self._identities(service)
-            self._pass_for(service.after if start is None else start).add(member)
+            rules = self._pass_for(service.after if start is None else start)
+            try:
+                rules.add(member)
+            except Exception as error:  # Whatever it is, the processor begins with the others.
+                self._refuse(service, error, service.position)
 
     def _member(self, service: Service) -> Member:
         rule = self._rule(service)

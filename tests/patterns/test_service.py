@@ -622,3 +622,18 @@ def test_what_a_rule_has_spent_does_not_go_back_when_it_joins_the_others(
     processor.catch_up()
     assert len(spent) == 2
     assert all(each == sorted(each) and len(each) > 3 for each in spent.values())
+
+
+def test_a_rule_that_cannot_begin_is_retired_and_the_others_run(log: Log, monkeypatch: pytest.MonkeyPatch) -> None:
+    walkers(log)
+    deployed(log, rule("breaks"), rule(), after=0)
+    with monkeypatch.context() as broken:
+        broken.setattr(RuleSetRun, "add", _breaks_for("breaks/1", RuleSetRun.add))
+        processor = Processor(log, STATION)
+    assert processor.catch_up() == 8
+    (gone,) = said(log, "rule_retired")
+    assert (gone.rule, gone.why) == ("breaks", "failed")
+    assert {each.rule for each in situations(log)} == {"enters"}
+    again = Processor(log, STATION)
+    again.catch_up()
+    assert [service.rule for service, _ in again.rules] == ["enters"]
