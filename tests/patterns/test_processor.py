@@ -14,6 +14,7 @@ from events import (
 )
 from patterns.errors import PatternError
 from patterns.processor import Processor, ProcessorLimits, deploy, schemas
+from patterns.processor.passes import Pass
 from store import Log, LogUnavailable, Transaction
 from tests.conftest import MakeLog
 from tests.patterns.walkers import (
@@ -236,6 +237,32 @@ def test_a_silent_source_stops_holding_the_watermark_after_the_idle_time(make_lo
     assert [each.title for each in situations(log)] == ["track 7 came in"]
     again = Processor(log, STATION, [rule(time="{lateness: 1 s, idle: 30 s}")], now=lambda: clock[0])
     assert again.catch_up() == 0
+
+
+def test_what_silence_led_to_is_told_once_whatever_follows_its_commit(
+    log: Log, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for source in ("gate", "street"):
+        add_video(log, source)
+    say(log, "street", point(1, 0, 20))
+    say(log, "gate", point(7, 0, 20), point(7, 1, 80), point(7, 9, 80))
+    clock = [datetime(2026, 6, 1, tzinfo=UTC)]
+    idling = rule(time="{lateness: 1 s, idle: 30 s}")
+    limits = ProcessorLimits(save_every_s=0)
+    processor = Processor(log, STATION, [idling], now=lambda: clock[0], limits=limits)
+    processor.catch_up()
+    clock[0] += timedelta(seconds=31)
+    say(log, "gate", point(8, 10, 20))
+
+    def broken(rules: Pass) -> None:
+        raise OSError("the compiled kernel cannot be read")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Pass, "use_kernel", broken)
+        with pytest.raises(OSError, match="cannot be read"):
+            processor.catch_up()
+    processor.catch_up()
+    assert [each.title for each in situations(log)] == ["track 7 came in"]
 
 
 def test_late_events_are_counted_and_recorded(make_log: MakeLog) -> None:
