@@ -29,7 +29,7 @@ from patterns.engine.interning import Keys, Texts, as_values
 from patterns.engine.kernel import Integers
 from patterns.engine.packed import Assembly, Packed
 from patterns.engine.pools import Shape, grown, new_scratch, new_state, with_partitions, with_partitions_kept
-from patterns.engine.records import ROW_COLUMNS, STREAM_COLUMNS, Arrived, Layout, Recorder, RowEvaluator
+from patterns.engine.records import ROW_COLUMNS, STREAM_COLUMNS, Arrived, Layout, Recorder, RowEvaluator, moved
 from patterns.engine.running import Counts, GivenUp, Outcome, needs
 from patterns.engine.situations import EventRef, Match, Narrator, as_python, event_ref, nearest_time
 from patterns.engine.skipping import rule_skip_error
@@ -224,7 +224,24 @@ class Lane:
         self.state = self.state._replace(failures=np.delete(self.state.failures, at))
         rules = self.state.cells[:, k.C_RULE]
         rules[rules > at] -= 1
+        self._shrink()
         self.rebuild()
+
+    def _shrink(self) -> None:
+        """Keeps of rows only what the rules ask that are left: nothing is read or drawn for those that went."""
+        before, packed = self.layout, [member.packed for member in self.members]
+        # Who asks about places holds these two.
+        self.zones.clear()
+        self.lines.clear()
+        self.layout = self.recorder.layout = Layout()
+        for each in packed:
+            self._lay_out(each)
+        self.layout.take_rasters(before)
+        rows = moved(self.state.last_rows, before, self.layout, self.layout.bits, self.layout.slots)
+        self.state = self.state._replace(last_rows=rows)
+        self._begin_columns()
+        self.waiting = [rows.select([STREAM, TIME, SEQUENCE, *self._kept]) for rows in self.waiting]
+        self.tails.narrow(*self._looked_back())
 
     @property
     def types(self) -> frozenset[str]:
@@ -242,9 +259,7 @@ class Lane:
 
     def _add_member(self, name: str, packed: Packed) -> Member:
         bound = packed.bound
-        self.zones.update(packed.zones)
-        self.lines.update(packed.lines)
-        self.layout.add(packed.predicates, packed.slots, self.zones)
+        self._lay_out(packed)
         places = Places(bound.rule.zones, bound.rule.lines, self.site)
         member = Member(
             name=name,
@@ -256,6 +271,11 @@ class Lane:
         )
         self.members.append(member)
         return member
+
+    def _lay_out(self, packed: Packed) -> None:
+        self.zones.update(packed.zones)
+        self.lines.update(packed.lines)
+        self.layout.add(packed.predicates, packed.slots, self.zones)
 
     def prepare(self) -> None:
         """Makes the tables anew, if rules have come since they were made: once, however many came."""
@@ -279,11 +299,12 @@ class Lane:
     def _begin_anew(self) -> None:
         self._begin_columns()
         self.state = new_state(self._shape)
+        self.tails = Tails(*self._looked_back())
+
+    def _looked_back(self) -> tuple[int, dict[str, Kind]]:
+        """How many earlier rows the rules read, and which columns of them."""
         reach = max((each.bound.reach for each in self.members), default=0)
-        looked_back_at = {
-            name: kind for each in self.members for name, kind in self.looked_back_at(each.packed).items()
-        }
-        self.tails = Tails(reach, looked_back_at)
+        return reach, {name: kind for each in self.members for name, kind in self.looked_back_at(each.packed).items()}
 
     def _begin_columns(self) -> None:
         """Says which columns are to be kept of rows; with rows waiting, these have them all."""

@@ -26,7 +26,7 @@ from patterns.engine.interning import Keys, Texts
 from patterns.engine.kernel import Integers, State
 from patterns.engine.lane import Lane, LaneInput, Member
 from patterns.engine.packed import Packed
-from patterns.engine.records import Layout
+from patterns.engine.records import Layout, moved
 from patterns.engine.ruleset import KERNEL_STATE as MAGIC
 from patterns.engine.running import Counts
 from patterns.errors import StateError
@@ -169,21 +169,8 @@ def own_layout(packed: Packed) -> Layout:
 
 def _own_last_rows(lane: Lane, member: Member, rows: Integers) -> Integers:
     """The last rows as a lane of this rule alone would hold them."""
-    return _moved(rows, lane.layout, own_layout(member.packed), member.packed)
-
-
-def _moved(rows: Integers, source: Layout, target: Layout, packed: Packed) -> Integers:
-    """Records of rows with the rule's bits and values in the places of another layout, and nothing else."""
-    moved = np.zeros((len(rows), k.R_BITS + target.words + len(target.slots)), dtype=np.int64)
-    moved[:, : k.R_NULLS] = rows[:, : k.R_NULLS]
-    for predicate in packed.predicates:
-        (word, bit), (target_word, target_bit) = source.bits[predicate], target.bits[predicate]
-        moved[:, k.R_BITS + target_word] |= ((rows[:, k.R_BITS + word] >> bit) & 1) << target_bit
-    for slot in packed.slots:
-        number, other = source.slots[slot], target.slots[slot]
-        moved[:, k.R_BITS + target.words + other] = rows[:, k.R_BITS + source.words + number]
-        moved[:, k.R_NULLS] |= ((rows[:, k.R_NULLS] >> number) & 1) << other
-    return moved
+    packed = member.packed
+    return moved(rows, lane.layout, own_layout(packed), packed.predicates, packed.slots)
 
 
 def _own_texts(lane: Lane, member: Member, registers: Integers, last_rows: Integers) -> list[str]:
@@ -348,13 +335,13 @@ def _insert_rows(
     lane: Lane, packed: Packed, partitions: Integers, last_rows: Integers, ordinals: Integers, own: Layout
 ) -> None:
     state, layout = lane.state, lane.layout
-    moved = _moved(last_rows, own, layout, packed)
+    own_rows = moved(last_rows, own, layout, packed.predicates, packed.slots)
     is_new = state.last_ordinals[partitions] < 0
     others = sum(1 << number for slot, number in layout.slots.items() if slot not in packed.slots)
-    state.last_rows[partitions[is_new]] = moved[is_new]
+    state.last_rows[partitions[is_new]] = own_rows[is_new]
     state.last_rows[partitions[is_new], k.R_NULLS] |= others
     state.last_ordinals[partitions[is_new]] = ordinals[is_new]
-    known, mine = partitions[~is_new], moved[~is_new]
+    known, mine = partitions[~is_new], own_rows[~is_new]
     first = k.R_BITS + layout.words
     held = state.last_rows[known]
     held[:, k.R_BITS : first] |= mine[:, k.R_BITS : first]
