@@ -198,6 +198,7 @@ class Lane:
 
     def admit(self, name: str, packed: Packed) -> None:
         """The rule is one of the lane's, and what it remembers of the rows before now is put in afterwards."""
+        assert not self._is_stale, "the lane is prepared: each rule has its place in the state"
         words, slots = self.layout.words, len(self.layout.slots)
         self._add_member(name, packed)
         self._begin_columns()

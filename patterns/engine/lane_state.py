@@ -108,14 +108,13 @@ def restored(
     site = Site.from_json(header["site"])
     for lane in lanes:
         if lane.has_room(packed) and _stands_at(lane, packed, saved, site):
-            lane.admit(name, packed)
-            break
-    else:
-        lane = Lane(LaneInput.of(packed), site, clock, is_strict=is_strict)
-        lane.join(name, packed)
-        lane.prepare()
-        _begin(lane, saved)
-    _insert(lane, len(lane.members) - 1, saved)
+            _admit(lane, name, packed, saved)
+            return lane
+    lane = Lane(LaneInput.of(packed), site, clock, is_strict=is_strict)
+    lane.join(name, packed)
+    lane.prepare()
+    _begin(lane, saved)
+    _insert(lane, 0, saved)
     return lane
 
 
@@ -257,6 +256,17 @@ def _waits_alike(lane: Lane, waiting: pa.Table) -> bool:
         np.array_equal(rows.column(name).to_numpy(), waiting.column(name).to_numpy())
         for name in (STREAM, TIME, SEQUENCE)
     )
+
+
+def _admit(lane: Lane, name: str, packed: Packed, saved: Saved) -> None:
+    """The rule goes on among the lane's; if it cannot, the lane is as it was."""
+    lane.prepare()
+    try:
+        lane.admit(name, packed)
+        _insert(lane, len(lane.members) - 1, saved)
+    except Exception:
+        lane.drop(name)
+        raise
 
 
 def _begin(lane: Lane, saved: Saved) -> None:

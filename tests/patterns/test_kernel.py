@@ -14,6 +14,7 @@ from patterns import Outcome, PatternError, RuleRun, RuleSetRun, bind, parse_rul
 from patterns.binding.bound import BoundRule
 from patterns.binding.rows import Units
 from patterns.engine.compiling import compile_kernel
+from patterns.engine.lane_state import decoded, encoded
 from patterns.engine.packed import pack
 from patterns.engine.ruleset import merged
 from tests.patterns.examples import examples
@@ -280,3 +281,28 @@ def test_what_rules_that_left_asked_is_asked_no_more_and_the_others_go_on_where_
 def _lettered(name: str, define: str, pattern: str = "X Y") -> BoundRule:
     rule = letter_rule(pattern, define, "X.n AS n")
     return bind(rule.model_copy(update={"rule": name}), SCHEMAS)
+
+
+def test_a_rule_goes_on_beside_rules_that_have_seen_no_row() -> None:
+    group = RuleSetRun([_lettered("sits", "X AS n = 1, Y AS n = 2")], uses_kernel=True)
+    _joined(group, _lettered("joins", "X AS n = 1, Y AS n > 1"), [])
+    rows = [{"us": n, "n": n, "letter": "pqr"[n], "sequence": n} for n in (1, 2)]
+    found = merged([group.push(letter_rows(rows)), group.finish()])
+    assert group.failures == {}
+    assert {name: len(outcome.matches) for name, outcome in found.items()} == dict.fromkeys(group.rules, 1)
+
+
+def test_a_state_that_cannot_be_taken_in_leaves_the_lane_as_it_was() -> None:
+    sits, joins = _lettered("sits", "X AS n = 1, Y AS n = 2"), _lettered("joins", "X AS n = 1, Y AS n = 3")
+    rows = [letter_rows([{"us": n, "n": n, "letter": "q", "sequence": n}]) for n in (1, 2)]
+    group, other = (RuleSetRun([each], uses_kernel=True) for each in (sits, joins))
+    for each in (group, other):
+        each.push(rows[0])
+    saved = decoded(other.state("joins"))
+    del saved.header["emitter"]
+    with pytest.raises(KeyError):
+        group.add(joins, encoded(saved, None))
+    assert group.rules == ("sits",)
+    found = merged([group.push(rows[1]), group.finish()])
+    assert group.failures == {}
+    assert {name: len(outcome.matches) for name, outcome in found.items()} == {"sits": 1}
