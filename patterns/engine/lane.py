@@ -28,7 +28,15 @@ from patterns.engine.finds import Events, Finds
 from patterns.engine.interning import Keys, Texts, as_values
 from patterns.engine.kernel import Integers
 from patterns.engine.packed import Assembly, Packed
-from patterns.engine.pools import Shape, grown, new_scratch, new_state, with_partitions, with_partitions_kept
+from patterns.engine.pools import (
+    Shape,
+    grown,
+    new_scratch,
+    new_state,
+    rules_of_threads,
+    with_partitions,
+    with_partitions_kept,
+)
 from patterns.engine.records import ROW_COLUMNS, STREAM_COLUMNS, Arrived, Layout, Recorder, RowEvaluator, moved
 from patterns.engine.running import Counts, GivenUp, Outcome, needs
 from patterns.engine.situations import EventRef, Match, Narrator, as_python, event_ref, nearest_time
@@ -42,6 +50,8 @@ from patterns.scene.site import Site
 SLOTS_MOST = 62
 _PARTITIONS_LEAST = 1 << 15
 """Partitions below which forgetting them is not worth while."""
+_TEXTS_LEAST = 1 << 10
+"""Texts below which forgetting them is not worth while."""
 _WAITING_TABLES_MOST = 32
 """Tables of rows that wait, each of which is looked at in each step."""
 _BEFORE_ALL_US = -(2**63)
@@ -177,6 +187,7 @@ class Lane:
         self.state = new_state(self._shape)
         self._place = np.empty(0, dtype=np.int64)
         self._partitions_least = _PARTITIONS_LEAST
+        self._texts_least = _TEXTS_LEAST
         self._is_stale = False
 
     # Rules.
@@ -436,6 +447,7 @@ class Lane:
         self._expire(watermark_us, is_end=False)
         found = self._found()
         self._limit(before_us, watermark_us)
+        self._forget_texts()
         outcomes = self._outcomes(late, reached, found)
         for member in self.members:
             member.emitter.forget(watermark_us)
@@ -729,6 +741,40 @@ class Lane:
         self.state = with_partitions_kept(self.state, kept)
         self.tails.keep_partitions(kept)
         self._place = np.full(len(kept), -1, dtype=np.int64)
+
+    def _forget_texts(self) -> None:
+        """Forgets the texts that no last row and no match remembers, once these may be half of them."""
+        known = self.texts.known
+        if len(known) < 2 * self._texts_least:
+            return
+        places = self._places_of_texts()
+        used = np.unique(np.concatenate([table[rows, column] for table, rows, column in places]))
+        used = used[(used >= 0) & (used < len(known))]
+        # Where it is NULL there may be any number: those that are none become the last of these.
+        numbers = np.zeros(len(known) + 1, dtype=np.int64)
+        numbers[used] = np.arange(len(used))
+        for table, rows, column in places:
+            held = table[rows, column]
+            table[rows, column] = numbers[np.where((held >= 0) & (held < len(known)), held, -1)]
+        self.texts = self.recorder.texts = Texts([known[number] for number in used.tolist()])
+        self._texts_least = max(_TEXTS_LEAST, len(used))
+
+    def _places_of_texts(self) -> list[tuple[Integers, Integers, int]]:
+        """Where numbers of texts stand that are remembered: a table, and in it rows and a column."""
+        state, first = self.state, k.R_BITS + self.layout.words
+        kept = np.flatnonzero(state.last_ordinals[: self.keys.count] >= 0)
+        is_text = np.zeros((len(self.members) + 1, state.registers.shape[1]), dtype=np.bool_)
+        for at, member in enumerate(self.members):
+            is_text[at, : len(member.readers)] = [kind is Kind.STRING for kind in member.readers]
+        rules = rules_of_threads(state)  # The last rule is none: that of records that are free.
+        return [
+            *(
+                (state.last_rows, kept, first + at)
+                for slot, at in self.layout.slots.items()
+                if slot.kind is Kind.STRING
+            ),
+            *((state.registers, np.flatnonzero(is_text[rules, at]), at) for at in range(is_text.shape[1])),
+        ]
 
     def _is_wanted(self, watermark_us: int) -> Any:
         is_wanted = np.zeros(self.keys.count, dtype=np.bool_)

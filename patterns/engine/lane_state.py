@@ -26,6 +26,7 @@ from patterns.engine.interning import Keys, Texts
 from patterns.engine.kernel import Integers, State
 from patterns.engine.lane import Lane, LaneInput, Member
 from patterns.engine.packed import Packed
+from patterns.engine.pools import reached
 from patterns.engine.records import Layout, moved
 from patterns.engine.ruleset import KERNEL_STATE as MAGIC
 from patterns.engine.running import Counts
@@ -321,24 +322,12 @@ def _renumber_rows(pools: dict[str, Integers], more: Integers) -> None:
     cells, attempts, threads, traces = (pools[name] for name in ("cells", "attempts", "threads", "traces"))
     of_cells = more[cells[:, k.C_PARTITION]]
     cells[:, k.C_RESUME] += of_cells
-    of_attempts = _reached(len(attempts), (cells[:, k.C_FIRST], of_cells), attempts[:, k.A_NEXT])
+    of_attempts = reached(len(attempts), (cells[:, k.C_FIRST], of_cells), attempts[:, k.A_NEXT])
     attempts[:, [k.A_ORDINAL, k.E_ORDINAL]] += of_attempts[:, None]
-    of_threads = _reached(len(threads), (attempts[:, k.A_THREAD], of_attempts), threads[:, k.T_NEXT])
+    of_threads = reached(len(threads), (attempts[:, k.A_THREAD], of_attempts), threads[:, k.T_NEXT])
     has_ending = attempts[:, k.E_THREAD] >= 0
     of_threads[attempts[has_ending, k.E_THREAD]] = of_attempts[has_ending]
-    traces[:, k.X_ORDINAL] += _reached(len(traces), (threads[:, k.T_TRACE], of_threads), traces[:, k.X_PARENT])
-
-
-def _reached(count: int, roots: tuple[Integers, Integers], following: Integers) -> Integers:
-    """What the roots say, for each record on the way from them; -1 is no record."""
-    said = np.zeros(count, dtype=np.int64)
-    records, values = roots
-    while len(records):
-        is_there = records >= 0
-        records, values = records[is_there], values[is_there]
-        said[records] = values
-        records = following[records]
-    return said
+    traces[:, k.X_ORDINAL] += reached(len(traces), (threads[:, k.T_TRACE], of_threads), traces[:, k.X_PARENT])
 
 
 def _insert_rows(

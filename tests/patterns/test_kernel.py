@@ -306,3 +306,25 @@ def test_a_state_that_cannot_be_taken_in_leaves_the_lane_as_it_was() -> None:
     found = merged([group.push(rows[1]), group.finish()])
     assert group.failures == {}
     assert {name: len(outcome.matches) for name, outcome in found.items()} == {"sits": 1}
+
+
+def test_texts_that_nothing_remembers_are_forgotten_and_those_remembered_are_not() -> None:
+    pairs = bind(
+        letter_rule("A B", "A AS n = 1, B AS n = 2", "FIRST(A.letter) AS begins, LAST(B.letter) AS ends"), SCHEMAS
+    )
+    group, whole = RuleSetRun([pairs], uses_kernel=True), RuleRun(pairs)
+    steps, wanted = [], Outcome()
+    for part in range(6):
+        # The pairs of a key but the last, which begins and ends nothing before the last part: its first text is old.
+        numbers = [1 + at % 2 for at in range(1000)]
+        keys = [at // 2 % 3 for at in range(1000)]
+        if part in (0, 5):
+            keys[0], numbers[0] = 7, 1 if part == 0 else 2
+        rows = [
+            {"us": part * 1000 + at, "sequence": part * 1000 + at, "n": n, "key": key, "letter": f"plate-{part}-{at}"}
+            for at, (n, key) in enumerate(zip(numbers, keys, strict=True))
+        ]
+        steps.append(group.push(letter_rows(rows)))
+        wanted += whole.push(letter_rows(rows))
+        assert len(group._lanes[0].texts.known) < 4096
+    assert merged([*steps, group.finish()])["sample"] == wanted + whole.finish()
