@@ -470,7 +470,7 @@ class Lane:
         if watermark_us is not None:
             is_late = rows.column(TIME).to_numpy() < watermark_us
             if is_late.any():
-                late = tuple(self._refs(rows.filter(pa.array(is_late))))
+                late = tuple(dict.fromkeys(self._refs(rows.filter(pa.array(is_late)))))  # of several arms, once
                 rows = rows.filter(pa.array(~is_late))
         self.counts.late += len(late)
         self.counts.rows += rows.num_rows
@@ -766,13 +766,10 @@ class Lane:
         is_text = np.zeros((len(self.members) + 1, state.registers.shape[1]), dtype=np.bool_)
         for at, member in enumerate(self.members):
             is_text[at, : len(member.readers)] = [kind is Kind.STRING for kind in member.readers]
+        slots = [number for slot, number in self.layout.slots.items() if slot.kind is Kind.STRING]
         rules = rules_of_threads(state)  # The last rule is none: that of records that are free.
         return [
-            *(
-                (state.last_rows, kept, first + at)
-                for slot, at in self.layout.slots.items()
-                if slot.kind is Kind.STRING
-            ),
+            *((state.last_rows, kept, first + at) for at in slots),
             *((state.registers, np.flatnonzero(is_text[rules, at]), at) for at in range(is_text.shape[1])),
         ]
 

@@ -328,3 +328,14 @@ def test_texts_that_nothing_remembers_are_forgotten_and_those_remembered_are_not
         wanted += whole.push(letter_rows(rows))
         assert len(group._lanes[0].texts.known) < 4096
     assert merged([*steps, group.finish()])["sample"] == wanted + whole.finish()
+
+
+@pytest.mark.parametrize("uses_kernel", [False, True])
+def test_an_event_that_is_late_for_several_arms_is_late_once(uses_kernel: bool) -> None:
+    arms = [f"SELECT n, key FROM letter WHERE n >= {least}" for least in (0, 1)]
+    rule = letter_rule("A B", "A AS n = 1, B AS n = 2", source=f"({' UNION ALL BY NAME '.join(arms)})")
+    group = RuleSetRun([bind(rule, SCHEMAS)], uses_kernel=uses_kernel)
+    group.push(letter_rows([{"us": 10, "n": 1}]))
+    outcome = group.push(letter_rows([{"us": 1, "n": 1, "sequence": 7}]))["sample"]
+    assert [event.sequence for event in outcome.late] == [7]
+    assert group.status("sample").counts.late == 1
