@@ -95,13 +95,13 @@ class Pass:
         """The event types whose segments it is to be given."""
         return {str(each.type_name) for each in CONTROL}.union(*self._sets)
 
-    def add(self, member: Member, saved: SavedState | None = None) -> None:
-        """The rule takes part from here on; with a saved state it goes on from that.
+    def add(self, member: Member, saved: SavedState | None = None, spent_s: float = 0.0) -> None:
+        """The rule takes part from here on; with a saved state it goes on from that, `spent_s` from what it has taken.
 
         Raises:
             StateError: The state is not one of this rule.
         """
-        self._set_of(member).add(member.bound, None if saved is None else saved.run, member.name)
+        self._set_of(member).add(member.bound, None if saved is None else saved.run, member.name, spent_s)
         self.members[member.name] = member
         self._columns.pop(member.types, None)
         for source, newest_us in (saved.newest_us if saved is not None else {}).items():
@@ -115,15 +115,17 @@ class Pass:
         if not any(each.types == member.types for each in self.members.values()):
             del self._sets[member.types]
 
-    def absorb(self, other: "Pass") -> None:
-        """Takes over the rules of a pass that stands at the same position.
-
-        Raises:
-            StateError: A rule does not understand its own state.
-        """
+    def absorb(self, other: "Pass") -> list[tuple[Member, Exception]]:
+        """Takes over the rules of a pass that stands at the same position; those that could not be, and why."""
         assert other.position == self.position, f"passes at {other.position} and {self.position} cannot be one"
+        refused: list[tuple[Member, Exception]] = []
         for member in other.members.values():
-            self.add(member, SavedState(other.position, 0, other.state(member), other.newest_us))
+            try:
+                saved = SavedState(other.position, 0, other.state(member), other.newest_us)
+                self.add(member, saved, other._sets[member.types].spent_s(member.name))
+            except Exception as error:  # Whatever it is, the other rules go on; the caller names the rule.
+                refused.append((member, error))
+        return refused
 
     def state(self, member: Member) -> bytes:
         """All that the rule's run remembers."""
