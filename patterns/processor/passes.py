@@ -3,13 +3,13 @@
 Contract: each segment is one unit of arrival, given whole and in order of position, so what a rule
 finds depends on the log alone, never on how it was read. Segments that were read together are run together, because
 that is many times cheaper; what they lead to is still told segment by segment. A rule is fed with segments of the types
-that it reads, whichever other rules there are. Events of a source whose time is far ahead of both
-the log's clock and the source's own past are kept out, so that one wrong clock does not make all
+that it reads, whichever other rules there are. Events of a stream whose time is far ahead of both
+the log's clock and the stream's own past are kept out, so that one wrong clock does not make all
 that follows late.
 """
 
 import logging
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from itertools import accumulate, groupby
@@ -75,7 +75,8 @@ class Pass:
         self.position = position
         self.members: dict[str, Member] = {}
         self.newest_us: dict[str, int] = {}
-        """For each source the newest time that was let in."""
+        """For each stream the newest time that was let in: of its own stream alone, so that what is believed of it does
+        not depend on which other types are read."""
         self.segments_skipped = 0
         """Segments of a type or version unknown here, which took no part."""
         self.events_unsaved = 0
@@ -104,8 +105,8 @@ class Pass:
         self._set_of(member).add(member.bound, None if saved is None else saved.run, member.name)
         self.members[member.name] = member
         self._columns.pop(member.types, None)
-        for source, newest_us in (saved.newest_us if saved is not None else {}).items():
-            self.newest_us[source] = max(newest_us, self.newest_us.get(source, newest_us))
+        for stream, newest_us in (saved.newest_us if saved is not None else {}).items():
+            self.newest_us[stream] = max(newest_us, self.newest_us.get(stream, newest_us))
 
     def remove(self, member: Member) -> None:
         """The rule takes no more part."""
@@ -324,22 +325,21 @@ class Pass:
         """The events but for those far in the future, with their sequences."""
         first = segment.header.first_sequence
         rows = batch.data.append_column("sequence", pa.array(np.arange(first, first + len(batch), dtype=np.int64)))
-        source, ahead = str(segment.stream.source), self._limits.ahead
-        newest_us = self.newest_us.get(source)
+        stream, ahead = str(segment.stream), self._limits.ahead
+        newest_us = self.newest_us.get(stream)
         latest_us = _us(segment.header.time_max)
         if ahead is None or newest_us is None or segment.header.time_max - segment.recorded_at <= ahead:
-            self.newest_us[source] = latest_us if newest_us is None else max(latest_us, newest_us)
+            self.newest_us[stream] = latest_us if newest_us is None else max(latest_us, newest_us)
             return rows
         most_us = max(newest_us, _us(segment.recorded_at)) + microseconds(ahead)
         times = rows.column("time").cast(pa.int64()).to_numpy()
         is_believed = times <= most_us
         if is_believed.any():
-            self.newest_us[source] = max(newest_us, int(times[is_believed].max()))
+            self.newest_us[stream] = max(newest_us, int(times[is_believed].max()))
         refused = np.flatnonzero(~is_believed)
         if len(refused):
             refs = [
-                EventRef(str(segment.stream), first + int(at), _EPOCH + timedelta(microseconds=int(times[at])))
-                for at in refused
+                EventRef(stream, first + int(at), _EPOCH + timedelta(microseconds=int(times[at]))) for at in refused
             ]
             for member in self.members.values():
                 if segment.stream.type in member.types:
@@ -436,9 +436,9 @@ def _events(segment: Segment, catalogue: Catalogue) -> list[EventType]:
         return []  # counted and logged where the segment is read in its turn
 
 
-def newest_of(newest_us: Mapping[str, int]) -> int:
-    """The newest time of any source, in microseconds; 0 where there is none."""
-    return max(newest_us.values(), default=0)
+def newest_of(newest_us: Mapping[str, int], types: Collection[str]) -> int:
+    """The newest time of any stream of these types, in microseconds; 0 where there is none."""
+    return max((each for stream, each in newest_us.items() if stream.rsplit("/", 1)[-1] in types), default=0)
 
 
 def _us(time: datetime) -> int:

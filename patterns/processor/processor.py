@@ -483,7 +483,7 @@ class Processor:
         if member.finish_after_us is None:
             within_us = member.bound.within_us
             longest_us = microseconds(self._limits.finish) if within_us is None else within_us
-            member.finish_after_us = newest_of(rules.newest_us) + longest_us
+            member.finish_after_us = newest_of(rules.newest_us, member.types) + longest_us
         watermark_us = None if status.watermark is None else as_microseconds(status.watermark)
         return isinstance(watermark_us, int) and watermark_us > member.finish_after_us
 
