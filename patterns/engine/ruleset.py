@@ -191,6 +191,15 @@ class RuleSetRun:
             counts, lane.watermark, lane.rows_waiting, lane.partitions_open(name), member.emitter.held_back, spent_s
         )
 
+    def watermark(self, name: str) -> datetime | None:
+        """How far the rule's time has come, as in its status, but without looking at its partitions.
+
+        Raises:
+            PatternError: The set has no such rule.
+        """
+        self._check_has(name)
+        return self._alone[name].watermark if name in self._alone else self._lane_of[name].watermark
+
     def spent_s(self, name: str) -> float:
         """Seconds that the rule has taken, by the clock that the set was given.
 

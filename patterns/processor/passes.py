@@ -241,9 +241,9 @@ class Pass:
                 if each.types == types and each.rule.time.idle and each.failure is None
             ]
             if waiting:
-                before = {each.name: rules.status(each.name).watermark for each in waiting}
+                before = {each.name: rules.watermark(each.name) for each in waiting}
                 outcomes = rules.advance_idle(now)
-                moved = [n for n, at in before.items() if n in rules.rules and rules.status(n).watermark != at]
+                moved = [n for n, at in before.items() if n in rules.rules and rules.watermark(n) != at]
                 outcomes = {name: outcomes.get(name, _NOTHING) for name in (*moved, *outcomes)}
                 findings += self._findings(outcomes, rules, is_by_silence=True)
         return findings
