@@ -9,7 +9,7 @@ that follows late.
 """
 
 import logging
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from itertools import accumulate, groupby
@@ -82,6 +82,8 @@ class Pass:
         self.events_unsaved = 0
         self.save_at = 0.0
         """When what its rules remember is to be saved, by the processor's clock."""
+        self._live: dict[str, str] = {}
+        """For rules that read situations a source that may still lead to some."""
         self._catalogue = catalogue
         self._limits = limits
         self._site: dict[tuple[object, ...], SiteEvent] = {}
@@ -110,6 +112,7 @@ class Pass:
 
     def remove(self, member: Member) -> None:
         """The rule takes no more part."""
+        self._live.clear()  # those above it may wait for less
         del self.members[member.name]
         self._columns.pop(member.types, None)
         self._sets[member.types].remove(member.name)
@@ -253,12 +256,26 @@ class Pass:
         """Whether what rules find leads to more."""
         return any(SITUATION in types for types in self._sets)
 
-    def settle(self) -> list[Finding]:
-        """What follows for rules that read situations from there being nothing more to come: sources have ended."""
+    def settle(self, live: Callable[[Member, int], str | None]) -> list[Finding]:
+        """What follows for rules that read situations from there being nothing more to come: sources have ended.
+
+        Args:
+            live: A source that may still lead to situations that the rule reads, as the log says it up to a position;
+                None: there is none. It is asked again only when the one that it named has ended.
+        """
         findings = []
-        for types, rules in list(self._sets.items()):
-            if SITUATION in types:
-                findings += self._findings(rules.settle(), rules, is_by_silence=True)
+        for member in list(self.members.values()):
+            rules = self._sets[member.types]
+            if member.failure is not None or member.name in self._live or not rules.may_settle(member.name):
+                continue
+            source = live(member, self.position)
+            if source is not None:
+                self._live[member.name] = source
+                continue
+            # The log does not say when this was, so it is recorded even where it leads to nothing.
+            outcomes = rules.settle(member.name)
+            kept = {member.name: _NOTHING} if member.name in rules.rules else {}
+            findings += self._findings(kept | outcomes, rules, is_by_silence=True)
         return findings
 
     def pace(self) -> None:
@@ -283,6 +300,8 @@ class Pass:
     def _told(self, event: EventType, segment: Segment, sequence: int) -> list[Finding]:
         if not isinstance(event, ENDS):
             return self._learn(event, str(segment.stream), sequence)
+        ended = str(segment.stream.source)
+        self._live = {name: source for name, source in self._live.items() if source != ended}
         findings = []
         for rules in list(self._sets.values()):
             findings += self._findings(rules.source_ended(segment.stream.source), rules)
