@@ -420,7 +420,7 @@ def _guard_reads(bound: BoundRule, variable: int) -> set[int]:
 
 def _updates(registers: tuple[Register, ...], variable: int, listed_most: int) -> tuple[Update, ...]:
     return tuple(
-        update_of(index, register, variable, listed_most)
+        update_of(index, register, variable, listed_most, wraps=True)
         for index, register in enumerate(registers)
         if register.takes(variable)
     )

@@ -102,6 +102,15 @@ def test_a_skip_to_nowhere_names_the_match_on_either_road(skip: str, uses_kernel
     assert "match from 2026-01-01T10:00:01Z (sequence 1) to 2026-01-01T10:00:0" in str(alone.value)
 
 
+@pytest.mark.parametrize("uses_kernel", [True, False])
+def test_a_sum_has_64_bits_as_all_integers_have(uses_kernel: bool) -> None:
+    bound = bind(letter_rule("A B", "A AS n > 0, B AS SUM(n) < 0"), SCHEMAS)
+    group = RuleSetRun([bound], uses_kernel=uses_kernel)
+    rows = letter_rows([{"us": 1, "n": 2**62}, {"us": 2, "n": 2**62}])
+    found = merged([group.push(rows), group.finish()])
+    assert (group.failures, len(found["sample"].matches)) == ({}, 1)
+
+
 def test_a_rule_that_comes_later_knows_the_frame_sizes() -> None:
     sizes: dict[str, Any] = {}
     for late in (False, True):
