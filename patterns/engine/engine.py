@@ -23,7 +23,7 @@ from patterns.binding.expressions import walk
 from patterns.binding.guards import compile_guard
 from patterns.binding.registers import Update, initial, update_of
 from patterns.binding.registers import live_registers as _live
-from patterns.binding.rows import SEQUENCE, STREAM, TIME, partition_codes
+from patterns.binding.rows import SEQUENCE, STREAM, TIME, findable, partition_codes
 from patterns.engine.ahead import Ahead, Needs, Release, moved, run
 from patterns.engine.matcher import Block, Event, Found, Loss, Machine, Matcher, Partition
 from patterns.engine.skipping import rule_skip_error
@@ -185,6 +185,8 @@ class Engine:
 
     def put(self, key: Key, state: Open) -> None:
         """Remembers a partition that was saved."""
+        key = findable(key)
+        state.partition.key = key
         self._keep(key, state)
 
     # From rows to columns.
@@ -197,7 +199,7 @@ class Engine:
         bounds = np.concatenate(([0], np.flatnonzero(np.diff(codes)) + 1, [len(codes)]))
         heads = table.select(list(self.bound.keys)).take(pa.array(bounds[:-1]))
         columns = [heads.column(name).to_pylist() for name in self.bound.keys]
-        keys: list[Key] = list(zip(*columns, strict=True)) if columns else [()]
+        keys: list[Key] = list(map(findable, zip(*columns, strict=True))) if columns else [()]
         return self._with_tails(_Grouped(table, bounds, bounds[:-1], keys))
 
     @property
