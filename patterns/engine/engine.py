@@ -310,7 +310,7 @@ class Engine:
     ) -> list[tuple[Key, Found]]:
         found: list[tuple[Key, Found]] = []
         at = 0
-        wanted = range(len(grouped.keys)) if self.bound.remembers_all else np.flatnonzero(active).tolist()
+        wanted = self._wanted(grouped, active)
         last = grouped.table.select([STREAM, SEQUENCE, TIME]).take(pa.array(grouped.bounds[1:] - 1))
         events = list(zip(*(column.to_pylist() for column in last.columns), strict=True))
         for group in wanted:
@@ -328,6 +328,15 @@ class Engine:
         if self._has_tails:
             self._keep_tails(grouped, [group for group in wanted if grouped.keys[group] in self.open])
         return found
+
+    def _wanted(self, grouped: _Grouped, active: NDArray[np.bool_]) -> Sequence[int]:
+        """The groups whose rows change what is remembered: where rows wait, also those that say they need not."""
+        if self.bound.remembers_all:
+            return range(len(grouped.keys))
+        if self.ahead is not None and self.open:
+            active = active | np.fromiter((key in self.open for key in grouped.keys), bool, len(grouped.keys))
+        wanted: list[int] = np.flatnonzero(active).tolist()
+        return wanted
 
     def _run_one(
         self, state: Open, block: Block, needs: Needs | None, begin: int, end: int, *, is_end: bool
