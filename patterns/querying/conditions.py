@@ -440,6 +440,8 @@ class _Builder:
                          for item in node.expressions])  # fmt: skip
         if type(node) in _COMPARED:
             kinds = self.kinds([node.this, node.expression])
+            if any(kind.startswith("ENUM") for kind in kinds):
+                return self.asked(node)
             left, right = self.comparable([node.this, node.expression], kinds)
             return _comparison(_COMPARED[type(node)], left, right, self.asked(node))
         if isinstance(node, exp.Case) and node.this is None and self.has_one_type(node):

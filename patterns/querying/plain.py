@@ -277,7 +277,7 @@ def _since_1970_us(time: datetime) -> int:
 
 def _lenient(name: str, kinds: Sequence[str], given: str) -> Plain | None:
     becomes = [_same if kind in ('"NULL"', given) else number_as(kind, given) for kind in kinds]
-    if None in becomes or given.startswith(("STRUCT", "MAP", "INTERVAL")) or given.endswith("]"):
+    if None in becomes or given.startswith(("STRUCT", "MAP", "INTERVAL", "ENUM")) or given.endswith("]"):
         return None
     known = [each for each in becomes if each]
 
