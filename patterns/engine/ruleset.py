@@ -209,6 +209,15 @@ class RuleSetRun:
             counts, lane.watermark, lane.rows_waiting, lane.partitions_open(name), member.emitter.held_back, spent_s
         )
 
+    def watermark(self, name: str) -> datetime | None:
+        """How far the rule's time has come, as in its status, but without looking at its partitions.
+
+        Raises:
+            PatternError: The set has no such rule.
+        """
+        self._check_has(name)
+        return self._alone[name].watermark if name in self._alone else self._lane_of[name].watermark
+
     def spent_s(self, name: str) -> float:
         """Seconds that the rule has taken, by the clock that the set was given.
 
@@ -298,9 +307,14 @@ class RuleSetRun:
         """The source will send no more."""
         return self._each(lambda run: run.source_ended(source), lambda lane: lane.source_ended(source))
 
-    def settle(self) -> Outcomes:
-        """All that was said so far has come, what rules found included."""
-        return self._each(lambda run: run.settle(), lambda lane: {})
+    def may_settle(self, name: str) -> bool:
+        """Whether `settle` would finish the rule."""
+        return name in self._alone and self._alone[name].may_settle
+
+    def settle(self, name: str | None = None) -> Outcomes:
+        """All that was said so far has come to the rule, what others found included; None: to all rules."""
+        chosen = [each for each in self._alone if name in (None, each)]
+        return merged(self._step_alone(each, self._alone[each], lambda run: run.settle()) for each in chosen)
 
     def advance_idle(self, now: datetime) -> Outcomes:
         """Looks, by the clock on the wall, for sources that have been silent for the idle time."""

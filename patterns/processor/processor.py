@@ -38,10 +38,12 @@ from patterns.processor.deploying import (
     note,
     readable_by,
     rule_of,
+    rules_in_service,
     schemas,
     standing,
 )
 from patterns.processor.limits import ProcessorLimits
+from patterns.processor.live import Below, live_source, types_below
 from patterns.processor.members import Finding, Member
 from patterns.processor.passes import Pass, RunOneByOne, newest_of, site_at
 from patterns.processor.saving import (
@@ -375,13 +377,19 @@ class Processor:
         self._main.position = position
         if self._main.reads_situations:
             is_caught_up = is_caught_up and not segments  # what these led to is still to be read
-            findings += self._main.settle() if is_caught_up else []
+            is_settled = is_caught_up and not self._joining  # what those behind find is still to be read, too
+            findings += self._main.settle(self._live_source) if is_settled else []
         if is_caught_up and self._now is not None:
             findings += self._main.fall_idle(self._now())
         self._subscription.position = position
         self._work = Work(self._main, position, findings, rule_events)
         self._is_stale = False
         return is_caught_up
+
+    def _live_source(self, member: Member, position: int) -> str | None:
+        """A source that may still lead to situations that the rule reads."""
+        others = rules_in_service(self._log) if self._given is None else list(self._given.values())
+        return live_source(self._log, Below(types_below(member.rule, others), member.service.after), position)
 
     def _catch_up(self, rules: Pass) -> None:
         """Give a pass that is behind a page of what lies between it and the leading one."""
@@ -498,7 +506,7 @@ class Processor:
         if member.finish_after_us is None:
             within_us = member.bound.within_us
             longest_us = microseconds(self._limits.finish) if within_us is None else within_us
-            member.finish_after_us = newest_of(rules.newest_us) + longest_us
+            member.finish_after_us = newest_of(rules.newest_us, member.types) + longest_us
         watermark_us = None if status.watermark is None else as_microseconds(status.watermark)
         return isinstance(watermark_us, int) and watermark_us > member.finish_after_us
 

@@ -1,5 +1,6 @@
 """A set of rules: for each rule what it finds alone, whoever comes, goes or fails."""
 
+import math
 from typing import Any
 
 import pytest
@@ -103,6 +104,33 @@ def test_a_skip_to_nowhere_names_the_match_on_either_road(skip: str, uses_kernel
     group.finish()
     assert str(group.failures["sample"]) == str(alone.value)
     assert "match from 2026-01-01T10:00:01Z (sequence 1) to 2026-01-01T10:00:0" in str(alone.value)
+
+
+@pytest.mark.parametrize("uses_kernel", [True, False])
+def test_rows_whose_key_is_no_number_are_one_partition_whenever_they_come(uses_kernel: bool) -> None:
+    rule = letter_rule("A X*? B", "A AS n = 1, X AS n = 7, B AS n = 2", partition="v", more="emit: {cooldown: 1 h}")
+    bound = bind(rule, SCHEMAS)
+    values = [(1, math.nan), (0, 1.0), (2, math.nan), (0, 2.0), (1, math.nan), (2, math.nan), (0, 3.0)]
+    rows = [{"us": at, "n": n, "v": v, "sequence": at} for at, (n, v) in enumerate(values)]
+    group = RuleSetRun([bound], uses_kernel=uses_kernel)
+    found: list[Match] = []
+    for row in rows:
+        found += group.push(letter_rows([row])).get("sample", Outcome()).matches
+        state = group.state("sample")
+        group = RuleSetRun(uses_kernel=uses_kernel)
+        group.add(bound, state)
+    found += group.finish().get("sample", Outcome()).matches
+    assert [each.first.sequence for each in found] == [each.first.sequence for each in match(bound, letter_rows(rows))]
+    assert [each.first.sequence for each in found] == [0], "the second is within the cooldown of the first"
+
+
+@pytest.mark.parametrize("uses_kernel", [True, False])
+def test_a_sum_has_64_bits_as_all_integers_have(uses_kernel: bool) -> None:
+    bound = bind(letter_rule("A B", "A AS n > 0, B AS SUM(n) < 0"), SCHEMAS)
+    group = RuleSetRun([bound], uses_kernel=uses_kernel)
+    rows = letter_rows([{"us": 1, "n": 2**62}, {"us": 2, "n": 2**62}])
+    found = merged([group.push(rows), group.finish()])
+    assert (group.failures, len(found["sample"].matches)) == ({}, 1)
 
 
 def test_a_rule_that_comes_later_knows_the_frame_sizes() -> None:
