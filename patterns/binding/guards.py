@@ -23,7 +23,7 @@ from patterns.binding.expressions import (
     Reference,
     Value,
 )
-from patterns.binding.registers import UNSET, at_offset
+from patterns.binding.registers import UNSET, at_offset, wrapped
 from patterns.scene.places import Places
 
 Guard = Callable[[Sequence[Any], Sequence[Any]], Any]
@@ -215,28 +215,23 @@ def _all_finite(values: list[Any]) -> bool:
     return all(value is not None and math.isfinite(value) for value in values)
 
 
-def _wrapped(value: int) -> int:
-    """The integer as 64 bits hold it, so that both evaluators overflow alike."""
-    return (value + 2**63) % 2**64 - 2**63
-
-
 def _add(left: Any, right: Any) -> Any:
-    return _wrapped(left + right) if isinstance(left, int) else left + right
+    return wrapped(left + right) if isinstance(left, int) else left + right
 
 
 def _subtract(left: Any, right: Any) -> Any:
-    return _wrapped(left - right) if isinstance(left, int) else left - right
+    return wrapped(left - right) if isinstance(left, int) else left - right
 
 
 def _multiply(left: Any, right: Any) -> Any:
-    return _wrapped(left * right) if isinstance(left, int) else left * right
+    return wrapped(left * right) if isinstance(left, int) else left * right
 
 
 def _divide(left: Any, right: Any) -> Any:
     if right == 0:
         return None
     if isinstance(left, int):
-        return _wrapped(abs(left) // abs(right) * (1 if (left < 0) == (right < 0) else -1))
+        return wrapped(abs(left) // abs(right) * (1 if (left < 0) == (right < 0) else -1))
     return left / right
 
 
@@ -257,11 +252,11 @@ def _rounded(microseconds: float) -> int | None:
 
 
 def _negate(value: Any) -> Any:
-    return _wrapped(-value) if isinstance(value, int) else -value
+    return wrapped(-value) if isinstance(value, int) else -value
 
 
 def _absolute(value: Any) -> Any:
-    return _wrapped(abs(value)) if isinstance(value, int) else abs(value)
+    return wrapped(abs(value)) if isinstance(value, int) else abs(value)
 
 
 def _root(value: float) -> float | None:

@@ -44,11 +44,26 @@ def initial(register: Register) -> Any:
     return None
 
 
-def update_of(index: int, register: Register, variable: int, listed_most: int) -> Update:
-    """How a row of this variable changes the register of this index; `listed_most` is the limit `listed`."""
+def update_of(index: int, register: Register, variable: int, listed_most: int, *, wraps: bool = False) -> Update:
+    """How a row of this variable changes the register of this index.
+
+    Args:
+        index: The register's index.
+        register: The register.
+        variable: The row's variable.
+        listed_most: The limit `listed`.
+        wraps: Whether sums of integers are of 64 bits, as all integers of rules are; else of any length.
+    """
     slot = register.slot_for(variable)
     change = _lists(listed_most) if register.how == "list" else _change(register)
+    if wraps and register.how == "sum":
+        change = _sum_of_64_bits
     return index, change, -1 if slot is None else slot
+
+
+def wrapped(value: int) -> int:
+    """The integer as 64 bits hold it, so that all evaluators of rules overflow alike."""
+    return (value + 2**63) % 2**64 - 2**63
 
 
 def updated(registers: Registers, updates: tuple[Update, ...], values: Sequence[Any]) -> Registers:
@@ -139,6 +154,11 @@ def _first(held: Any, value: Any) -> Any:
 
 def _sum(held: Any, value: Any) -> Any:
     return held if value is None else value if held is None else held + value
+
+
+def _sum_of_64_bits(held: Any, value: Any) -> Any:
+    total = _sum(held, value)
+    return wrapped(total) if isinstance(total, int) else total
 
 
 def _min(held: Any, value: Any) -> Any:

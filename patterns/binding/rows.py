@@ -6,7 +6,8 @@ the rule reads, times and durations as whole microseconds and numbers as
 float64 or int64.
 """
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any
@@ -151,6 +152,11 @@ def _names_of(code: int, names: list[list[str]]) -> list[str]:
         code, at = divmod(code, len(each))
         parts.append(each[at])
     return parts[::-1]
+
+
+def findable(key: Iterable[Any]) -> tuple[Any, ...]:
+    """The key with one object for every NaN, which equals nothing but itself: so a mapping finds the key again."""
+    return tuple(math.nan if value != value else value for value in key)
 
 
 def check_envelope(batch: pa.Table) -> None:

@@ -7,6 +7,7 @@ a situation less than the cooldown before; what is held back extends nothing.
 
 from typing import Any
 
+from patterns.binding.rows import findable
 from patterns.durations import microseconds
 from patterns.engine.situations import Match, as_microseconds
 from patterns.files.rule import EmitSettings
@@ -59,9 +60,9 @@ class Emitter:
     def restore(self, saved: dict[str, Any]) -> None:
         """Goes on from what `to_json` gave."""
         self.held_back = saved["held_back"]
-        self.last_us = {tuple(key): last for key, last in saved["last_us"]}
+        self.last_us = {findable(key): last for key, last in saved["last_us"]}
 
     def _key(self, match: Match) -> tuple[Any, ...]:
         values = {**match.measures, **match.partition}
         names = match.partition if self.once_per is None else self.once_per
-        return tuple(as_microseconds(values[name]) for name in names)
+        return findable(as_microseconds(values[name]) for name in names)

@@ -23,7 +23,7 @@ from patterns.binding.expressions import walk
 from patterns.binding.guards import compile_guard
 from patterns.binding.registers import Update, initial, update_of
 from patterns.binding.registers import live_registers as _live
-from patterns.binding.rows import SEQUENCE, STREAM, TIME, partition_codes
+from patterns.binding.rows import SEQUENCE, STREAM, TIME, findable, partition_codes
 from patterns.engine.ahead import Ahead, Needs, Release, moved, run
 from patterns.engine.matcher import Block, Event, Found, Loss, Machine, Matcher, Partition
 from patterns.engine.skipping import rule_skip_error
@@ -185,6 +185,8 @@ class Engine:
 
     def put(self, key: Key, state: Open) -> None:
         """Remembers a partition that was saved."""
+        key = findable(key)
+        state.partition.key = key
         self._keep(key, state)
 
     # From rows to columns.
@@ -197,7 +199,7 @@ class Engine:
         bounds = np.concatenate(([0], np.flatnonzero(np.diff(codes)) + 1, [len(codes)]))
         heads = table.select(list(self.bound.keys)).take(pa.array(bounds[:-1]))
         columns = [heads.column(name).to_pylist() for name in self.bound.keys]
-        keys: list[Key] = list(zip(*columns, strict=True)) if columns else [()]
+        keys: list[Key] = list(map(findable, zip(*columns, strict=True))) if columns else [()]
         return self._with_tails(_Grouped(table, bounds, bounds[:-1], keys))
 
     @property
@@ -308,7 +310,7 @@ class Engine:
     ) -> list[tuple[Key, Found]]:
         found: list[tuple[Key, Found]] = []
         at = 0
-        wanted = range(len(grouped.keys)) if self.bound.remembers_all else np.flatnonzero(active).tolist()
+        wanted = self._wanted(grouped, active)
         last = grouped.table.select([STREAM, SEQUENCE, TIME]).take(pa.array(grouped.bounds[1:] - 1))
         events = list(zip(*(column.to_pylist() for column in last.columns), strict=True))
         for group in wanted:
@@ -326,6 +328,15 @@ class Engine:
         if self._has_tails:
             self._keep_tails(grouped, [group for group in wanted if grouped.keys[group] in self.open])
         return found
+
+    def _wanted(self, grouped: _Grouped, active: NDArray[np.bool_]) -> Sequence[int]:
+        """The groups whose rows change what is remembered: where rows wait, also those that say they need not."""
+        if self.bound.remembers_all:
+            return range(len(grouped.keys))
+        if self.ahead is not None and self.open:
+            active = active | np.fromiter((key in self.open for key in grouped.keys), bool, len(grouped.keys))
+        wanted: list[int] = np.flatnonzero(active).tolist()
+        return wanted
 
     def _run_one(
         self, state: Open, block: Block, needs: Needs | None, begin: int, end: int, *, is_end: bool
@@ -420,7 +431,7 @@ def _guard_reads(bound: BoundRule, variable: int) -> set[int]:
 
 def _updates(registers: tuple[Register, ...], variable: int, listed_most: int) -> tuple[Update, ...]:
     return tuple(
-        update_of(index, register, variable, listed_most)
+        update_of(index, register, variable, listed_most, wraps=True)
         for index, register in enumerate(registers)
         if register.takes(variable)
     )

@@ -251,7 +251,7 @@ class Recorder:
         """What conditions and values took in the last step, by the clock; what all zones share is not in it."""
         self.places = places
         self.texts = texts
-        self.failures: dict[Expr, PatternError] = {}
+        self.failures: dict[Expr, Exception] = {}
 
     def forget_rasters(self) -> None:
         """The frames have other sizes from now on."""
@@ -296,7 +296,7 @@ class Recorder:
             began = self.clock()
             try:
                 truth = evaluator.truth(predicate)[fresh:]
-            except PatternError as error:
+            except Exception as error:  # Whatever it is, only the rules that ask for it fail.
                 self.failures[predicate] = error
                 continue
             rows[:, column] |= truth.astype(np.int64) << bit
@@ -333,10 +333,10 @@ class Recorder:
     def _write_slot(self, evaluator: RowEvaluator, slot: Expr, number: int, rows: Integers, fresh: int) -> None:
         try:
             values = evaluator.column(slot)
-        except PatternError as error:
+            values = values.slice(fresh) if fresh else values
+            rows[:, k.R_BITS + self.layout.words + number] = as_words(values, slot.kind, self.texts)
+        except Exception as error:  # Whatever it is, only the rules that ask for it fail.
             self.failures[slot] = error
             return
-        values = values.slice(fresh) if fresh else values
-        rows[:, k.R_BITS + self.layout.words + number] = as_words(values, slot.kind, self.texts)
         if values.null_count:
             rows[:, k.R_NULLS] |= np.asarray(values.is_null()).astype(np.int64) << number

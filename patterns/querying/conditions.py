@@ -439,7 +439,10 @@ class _Builder:
             return guards.some([self.compiled(exp.EQ(this=node.this.copy(), expression=item.copy()))
                          for item in node.expressions])  # fmt: skip
         if type(node) in _COMPARED:
-            left, right = self.comparable([node.this, node.expression])
+            kinds = self.kinds([node.this, node.expression])
+            if any(kind.startswith("ENUM") for kind in kinds):
+                return self.asked(node)
+            left, right = self.comparable([node.this, node.expression], kinds)
             return _comparison(_COMPARED[type(node)], left, right, self.asked(node))
         if isinstance(node, exp.Case) and node.this is None and self.has_one_type(node):
             return self.case(node)
@@ -448,15 +451,16 @@ class _Builder:
     def kinds(self, nodes: Sequence[exp.Expr]) -> list[str]:
         return self.symbols.duck.types([sql_of(node) for node in nodes], self.types())
 
-    def comparable(self, nodes: Sequence[exp.Expr]) -> list[Guard]:
+    def comparable(self, nodes: Sequence[exp.Expr], kinds: Sequence[str]) -> list[Guard]:
         """What is compared; of numbers of several types, as DuckDB makes one type of them."""
-        kinds = self.kinds(nodes)
         common = common_number(kinds)
         below = []
         for node, kind in zip(nodes, kinds, strict=True):
             guard = self.compiled(node)
-            make = number_as(kind, common) if common is not None and kind.startswith("DECIMAL") else None
-            below.append(guard if make is None else _applied(Plain(make), [guard], guard))
+            make = number_as(kind, common) if common not in (None, kind) else None
+            if make is not None:
+                guard = _applied(Plain(make), [guard], guard)
+            below.append(guard if _names(node) else guards.constant(guard((), ())))
         return below
 
     def has_one_type(self, case: exp.Case) -> bool:

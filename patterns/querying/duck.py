@@ -85,7 +85,7 @@ class Duck:
             MatchError: The query fails on a row.
         """
         for name, table in tables.items():
-            self.connection.register(name, table)
+            register(self.connection, name, table)
         try:
             return self.connection.execute(query).to_arrow_table()
         except duckdb.Error as error:
@@ -109,7 +109,7 @@ class Duck:
 
     def column_types(self, table: pa.Table) -> dict[str, str]:
         """The type that DuckDB has for each column."""
-        self.connection.register("described", table.slice(0, 0))
+        register(self.connection, "described", table)
         found = self.connection.execute("DESCRIBE described").fetchall()
         self.connection.unregister("described")
         return {row[0]: "INTEGER" if row[1] == '"NULL"' else row[1] for row in found}
@@ -192,6 +192,25 @@ class Aggregated:
         given = [[given_back(value) for value in values] for values in lists]
         rows = pa.table({name: pa.array(values) for name, values in zip(self.names, given, strict=True)})
         return values_of(self.duck.table(self.query, listed_rows=rows).column(0))[0]
+
+
+def register(connection: duckdb.DuckDBPyConnection, name: str, table: pa.Table) -> None:
+    """Makes a table that DuckDB gave known by this name; an ENUM, which it gives as a dictionary, is one again."""
+    enums = {field.name: _enum(table.column(at)) for at, field in enumerate(table.schema)}
+    casts = [f"CAST({quoted(column)} AS {kind}) AS {quoted(column)}" for column, kind in enums.items() if kind]
+    if not casts:
+        connection.register(name, table)
+        return
+    connection.register(name, connection.from_arrow(table).project(f"* REPLACE ({', '.join(casts)})"))
+
+
+def _enum(column: pa.ChunkedArray) -> str | None:
+    """The type ENUM of a column; None: it has another, or no value."""
+    if not pa.types.is_dictionary(column.type) or not pa.types.is_string(column.type.value_type):
+        return None
+    values = max((chunk.dictionary for chunk in column.chunks), key=len, default=())
+    texts = ["'" + value.as_py().replace("'", "''") + "'" for value in values]
+    return f"ENUM({', '.join(texts)})" if texts else None
 
 
 @cache

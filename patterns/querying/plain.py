@@ -20,6 +20,10 @@ from patterns.querying.values import Span
 WHOLE = frozenset(("TINYINT", "SMALLINT", "INTEGER", "BIGINT", "UTINYINT", "USMALLINT", "UINTEGER", "UBIGINT",
                    "HUGEINT", "UHUGEINT"))  # fmt: skip
 TIMES = ("TIMESTAMP", "TIMESTAMP WITH TIME ZONE")
+_BITS = {"TINYINT": 8, "SMALLINT": 16, "INTEGER": 32, "BIGINT": 64, "HUGEINT": 128}
+_WIDE = ("HUGEINT", "UHUGEINT")
+_DOUBLE_WHOLE_MOST = 2**53
+"""Up to this, a DOUBLE holds every whole number."""
 _DIGITS_MOST = {"DOUBLE": 15, "FLOAT": 7}
 """Digits of a decimal up to which it becomes such a number by one rounding."""
 _DECIMAL_DIGITS_MOST = 28
@@ -94,7 +98,9 @@ def number_as(kind: str, given: str) -> Operator | None:
     if kind == given:
         return _same
     digits = _digits(kind)
-    if given in _DIGITS_MOST and (kind in WHOLE or (digits is not None and digits <= _DIGITS_MOST[given])):
+    if kind in WHOLE and given in _DIGITS_MOST:
+        return _whole_as_single if given == "FLOAT" else _wide_as_double if kind in _WIDE else float
+    if given in _DIGITS_MOST and digits is not None and digits <= _DIGITS_MOST[given]:
         return float if given == "DOUBLE" else _single
     if given == "DOUBLE" and kind == "FLOAT":
         return _same
@@ -113,12 +119,26 @@ def _of_numbers(node: exp.Expr, name: str, kinds: Sequence[str], given: str) -> 
     key = name or type(node)
     if given in WHOLE:
         exact = _EXACT.get(key) or _WHOLE.get(key)
-        return Plain(exact) if exact and all(kind in WHOLE for kind in kinds) else None
+        return Plain(_within(exact, given)) if exact and all(kind in WHOLE for kind in kinds) else None
     operator = _EXACT.get(key) or (_BINARY.get(key) if given in _DIGITS_MOST else None)
     becomes = [number_as(kind, given) for kind in kinds]
     if operator is None or None in becomes or not (given in _DIGITS_MOST or _digits(given)):
         return None
     return Plain(_converting(operator, [each for each in becomes if each], _single if given == "FLOAT" else _same))
+
+
+def _within(operator: Operator, given: str) -> Operator:
+    """The operator where the whole number that it gives is one of this type; else DuckDB raises, or turns it over."""
+    bits = _BITS[given.removeprefix("U")]
+    least, most = (0, 2**bits - 1) if given.startswith("U") else (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1)
+
+    def checked(*values: Any) -> Any:
+        found = operator(*values)
+        if found is not None and not least <= found <= most:
+            raise NotAlike
+        return found
+
+    return checked
 
 
 def _converting(operator: Operator, becomes: Sequence[Operator], after: Operator) -> Operator:
@@ -145,6 +165,20 @@ def _single(value: Any) -> float:
     return float(nearest)
 
 
+def _whole_as_single(value: Any) -> float:
+    """The nearest number of 32 bits; of a number that takes two roundings only DuckDB knows it."""
+    if abs(value) > _DOUBLE_WHOLE_MOST:
+        raise NotAlike
+    return _single(value)
+
+
+def _wide_as_double(value: Any) -> float:
+    """The number as DuckDB makes it of one of 128 bits, from its halves."""
+    if not -_DOUBLE_WHOLE_MOST <= value < 2**63:
+        raise NotAlike
+    return float(value)
+
+
 def _digits(kind: str) -> int | None:
     """The digits of a decimal type; None: it is none."""
     return int(kind[len("DECIMAL(") :].split(",")[0]) if kind.startswith("DECIMAL(") else None
@@ -162,6 +196,8 @@ def _divide_whole(left: int, right: int) -> int | None:
 
 
 def _remainder_whole(left: int, right: int) -> int | None:
+    if right == -1:  # DuckDB divides, and the least number has no quotient.
+        raise NotAlike
     return None if right == 0 else (abs(left) % abs(right)) * (1 if left >= 0 else -1)
 
 
@@ -241,7 +277,7 @@ def _since_1970_us(time: datetime) -> int:
 
 def _lenient(name: str, kinds: Sequence[str], given: str) -> Plain | None:
     becomes = [_same if kind in ('"NULL"', given) else number_as(kind, given) for kind in kinds]
-    if None in becomes or given.startswith(("STRUCT", "MAP", "INTERVAL")) or given.endswith("]"):
+    if None in becomes or given.startswith(("STRUCT", "MAP", "INTERVAL", "ENUM")) or given.endswith("]"):
         return None
     known = [each for each in becomes if each]
 

@@ -38,6 +38,7 @@ from patterns.language.statements import (
 from patterns.language.syntax import Clause, Named
 from patterns.language.text import Passage
 from patterns.limits import Limits
+from patterns.querying import duck
 from patterns.querying.duck import first_line, sql_of
 from patterns.querying.recognition import recognise
 
@@ -153,7 +154,7 @@ def answer(plan: Plan, opened: duckdb.DuckDBPyConnection, limits: Limits | None 
         ambiguous = _ambiguous(source, step, opened)
         clause = _with_values(step.clause, opened)
         result = recognise(clause, _distinctly_named(source), limits=limits, ambiguous=ambiguous)
-        opened.register(step.name, result)
+        duck.register(opened, step.name, result)
     return _run(plan.passage, plan.rest, opened)
 
 

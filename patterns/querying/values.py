@@ -98,7 +98,7 @@ def compared(compare: Callable[[Any, Any], bool], first: Any, second: Any) -> bo
     return None if kind is Nested or first != first or second != second else compare(first, second)
 
 
-_EQUAL_TYPES = {("int", "float"), ("float", "int"), ("int", "Decimal"), ("Decimal", "int")}
+_EQUAL_TYPES = {("int", "Decimal"), ("Decimal", "int")}
 
 
 def _as_map(pairs: Sequence[tuple[Any, Any]]) -> dict[str, list[Any]]:

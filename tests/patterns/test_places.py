@@ -10,7 +10,7 @@ import pyarrow as pa
 import pytest
 
 from events import CameraCalibrated, EventType, VideoAdded, ZoneDefined, ZoneRemoved
-from patterns import RuleError, RuleRun, RuleSetRun, Zone, bind, match, parse_rule
+from patterns import Match, RuleError, RuleRun, RuleSetRun, Zone, bind, match, parse_rule
 from patterns.errors import MatchError
 from patterns.scene.geometry import Line
 from patterns.scene.ground import Calibration
@@ -210,6 +210,16 @@ def test_a_match_over_a_change_names_both_versions() -> None:
     run.learn(defined("yard", 2, [*SQUARE[:3], (0, 11)]), "s/cam-01/zone_defined", 2)
     (found,) = run.push(rows([(5.0, 5.0)] * 3, first_s=3)).matches
     assert [each.first_sequence for each in found.judged_by["zone:yard"]] == [1, 2]
+
+
+def test_a_row_that_waits_while_its_zone_is_redrawn_looks_ahead_to_no_later_row() -> None:
+    far = ((200, 0), (210, 0), (210, 10), (200, 10))
+    run = run_of("in_zone(x, y, 'yard') AND NEXT(x) < 50", "0 s")
+    found: list[Match] = []
+    for second, (points, x) in enumerate([(SQUARE, 5.0), (SQUARE, 100.0), (far, 7.0), (SQUARE, 100.0), (SQUARE, 0.0)]):
+        run.learn(defined("yard", second + 1, points), "s/cam-01/zone_defined", second + 1)
+        found += run.push(rows([(x, 5.0)], first_s=second)).matches
+    assert (found, run.finish().matches) == ([], ()), "behind each row in the yard is one with x = 100"
 
 
 def test_a_removed_zone_is_nowhere() -> None:

@@ -46,6 +46,57 @@ def test_a_table_that_duckdb_cannot_read_is_named() -> None:
         query(f"SELECT * FROM t {PAIR}", {"t": halves})
 
 
+LEVELS = "(SELECT id, CAST(x AS ENUM('low', 'mid', 'high')) AS level FROM t)"
+RISING = pa.table({"id": [1, 2, 3], "x": ["low", "mid", "high"]})
+
+
+@pytest.mark.parametrize(
+    "condition",
+    ["B.level > A.level", "B.level > PREV(level)", "MAX(level) = B.level", "greatest(A.level, B.level) = B.level"],
+)
+def test_an_enum_is_ordered_as_its_type_says(condition: str) -> None:
+    measures = "MEASURES LAST(id) AS last, MAX(level) AS top"
+    clause = f"MATCH_RECOGNIZE (ORDER BY id {measures} PATTERN (A B+) DEFINE B AS {condition})"
+    answer = query(f"SELECT * FROM {LEVELS} {clause}", {"t": RISING})
+    assert answer.to_pylist() == [{"last": 3, "top": "high"}]
+
+
+def test_an_enum_is_one_in_the_next_clause_and_around_it() -> None:
+    clause = "MATCH_RECOGNIZE (ORDER BY id MEASURES LAST(id) AS id, LAST(level) AS level PATTERN (A))"
+    again = "MATCH_RECOGNIZE (ORDER BY level DESC ALL ROWS PER MATCH PATTERN (A B+) DEFINE B AS B.level < A.level)"
+    answer = query(f"SELECT id, typeof(level) AS kind FROM {LEVELS} {clause} {again} ORDER BY level", {"t": RISING})
+    assert answer.to_pylist() == [{"id": at, "kind": "ENUM('low', 'mid', 'high')"} for at in (1, 2, 3)]
+
+
+BIG = pa.table({"id": [1, 2], "i": pa.array([2**24, 2**24 + 1], pa.int32()), "f": pa.array([2.0**24, 1], pa.float32()),
+                "big": [2**53, 2**53 + 1], "d": [2.0**53, 1], "least": [-(2**63), -1]})  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("condition", "holds"),
+    [
+        ("B.i = A.f", True), ("B.i > A.f", False), ("B.big = A.d", True), ("B.big <> A.d", False),
+        ("SUM(big) = 2 * A.d", True), ("B.big + 0::HUGEINT = A.d", True), ("B.big = A.f * A.f * 32", True),
+        ("B.i * 2 > A.f * 2", False), ("B.d < 1.5 AND A.d > 3", True),
+    ],
+)  # fmt: skip
+def test_a_whole_number_is_rounded_before_it_is_compared_with_a_binary_fraction(condition: str, holds: bool) -> None:
+    clause = f"MATCH_RECOGNIZE (ORDER BY id MEASURES B.id AS b PATTERN (A B) DEFINE B AS {condition})"
+    row = condition.replace("SUM(big)", "(A.big::HUGEINT + B.big)")
+    (told,) = query(f"SELECT {row} AS told FROM t AS A, t AS B WHERE A.id = 1 AND B.id = 2", {"t": BIG}).to_pylist()
+    assert (query(f"SELECT * FROM t {clause}", {"t": BIG}).num_rows == 1, told["told"]) == (holds, holds)
+
+
+@pytest.mark.parametrize(
+    "condition", ["B.i * A.i > 0", "B.big * A.big > 0", "B.i * 128 + A.i > 0", "A.least // B.least > 0",
+                  "A.least % B.least = 0", "abs(A.least) > B.i"],
+)  # fmt: skip
+def test_a_whole_number_beyond_its_type_is_an_error_as_duckdb_has_it(condition: str) -> None:
+    clause = f"MATCH_RECOGNIZE (ORDER BY id MEASURES B.id AS b PATTERN (A B) DEFINE B AS {condition})"
+    with pytest.raises(MatchError, match="Overflow"):
+        query(f"SELECT * FROM t {clause}", {"t": BIG})
+
+
 def test_limits_are_the_callers() -> None:
     with pytest.raises(patterns.RuleError, match="positions"):
         query(f"SELECT * FROM t {PAIR}", {"t": LETTERS}, Limits(positions=1))

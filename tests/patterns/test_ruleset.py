@@ -1,5 +1,6 @@
 """A set of rules: for each rule what it finds alone, whoever comes, goes or fails."""
 
+import math
 from typing import Any
 
 import pytest
@@ -7,7 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from patterns import BoundRule, Match, Outcome, PatternError, RuleRun, RuleSetRun, SkipError, bind, match
+from patterns.binding.expressions import Const, Expr, walk
 from patterns.engine.compiling import compile_kernel
+from patterns.engine.packed import Assembly, Packed
+from patterns.engine.records import RowEvaluator
 from patterns.engine.ruleset import Outcomes, merged
 from tests.patterns.examples import examples
 from tests.patterns.samples import SCHEMAS, define_letters, letter_rows, letter_rule, letters
@@ -102,6 +106,33 @@ def test_a_skip_to_nowhere_names_the_match_on_either_road(skip: str, uses_kernel
     assert "match from 2026-01-01T10:00:01Z (sequence 1) to 2026-01-01T10:00:0" in str(alone.value)
 
 
+@pytest.mark.parametrize("uses_kernel", [True, False])
+def test_rows_whose_key_is_no_number_are_one_partition_whenever_they_come(uses_kernel: bool) -> None:
+    rule = letter_rule("A X*? B", "A AS n = 1, X AS n = 7, B AS n = 2", partition="v", more="emit: {cooldown: 1 h}")
+    bound = bind(rule, SCHEMAS)
+    values = [(1, math.nan), (0, 1.0), (2, math.nan), (0, 2.0), (1, math.nan), (2, math.nan), (0, 3.0)]
+    rows = [{"us": at, "n": n, "v": v, "sequence": at} for at, (n, v) in enumerate(values)]
+    group = RuleSetRun([bound], uses_kernel=uses_kernel)
+    found: list[Match] = []
+    for row in rows:
+        found += group.push(letter_rows([row])).get("sample", Outcome()).matches
+        state = group.state("sample")
+        group = RuleSetRun(uses_kernel=uses_kernel)
+        group.add(bound, state)
+    found += group.finish().get("sample", Outcome()).matches
+    assert [each.first.sequence for each in found] == [each.first.sequence for each in match(bound, letter_rows(rows))]
+    assert [each.first.sequence for each in found] == [0], "the second is within the cooldown of the first"
+
+
+@pytest.mark.parametrize("uses_kernel", [True, False])
+def test_a_sum_has_64_bits_as_all_integers_have(uses_kernel: bool) -> None:
+    bound = bind(letter_rule("A B", "A AS n > 0, B AS SUM(n) < 0"), SCHEMAS)
+    group = RuleSetRun([bound], uses_kernel=uses_kernel)
+    rows = letter_rows([{"us": 1, "n": 2**62}, {"us": 2, "n": 2**62}])
+    found = merged([group.push(rows), group.finish()])
+    assert (group.failures, len(found["sample"].matches)) == ({}, 1)
+
+
 def test_a_rule_that_comes_later_knows_the_frame_sizes() -> None:
     sizes: dict[str, Any] = {}
     for late in (False, True):
@@ -158,3 +189,41 @@ def test_the_cost_of_rules_that_run_together_is_theirs_who_cause_it() -> None:
     # A thousand partial matches a row against none: the slow one is named whatever the machine is doing.
     assert spent_s["sample"] > 10 * max(others) > 0
     assert max(others) < 3 * min(others)
+
+
+@pytest.mark.parametrize("method", ["truth", "column"])
+def test_what_one_rule_asks_of_a_row_fails_that_rule_alone(monkeypatch: pytest.MonkeyPatch, method: str) -> None:
+    original = getattr(RowEvaluator, method)
+
+    def overflowing(self: RowEvaluator, expr: Expr) -> Any:
+        if any(isinstance(part, Const) and part.value == 77 for part in walk(expr)):
+            raise OverflowError("too large")
+        return original(self, expr)
+
+    monkeypatch.setattr(RowEvaluator, method, overflowing)
+    good = letter_rule("A B", "A AS n = 1, B AS n = 2").model_copy(update={"rule": "good"})
+    bad = letter_rule("A B", "A AS n = 1, B AS n + 77 > A.n AND n <> 77").model_copy(update={"rule": "bad"})
+    group = RuleSetRun([bind(each, SCHEMAS) for each in (good, bad)], uses_kernel=True)
+    found = merged([group.push(letter_rows([{"us": 1, "n": 1}, {"us": 2, "n": 2}])), group.finish()])
+    assert len(found["good"].matches) == 1
+    assert {name: repr(error) for name, error in group.failures.items()} == {"bad": "OverflowError('too large')"}
+
+
+def test_a_rule_of_which_the_kernel_has_no_tables_runs_without_it(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    original = Assembly._add
+
+    def overflowing(self: Assembly, number: int, rule: Packed, is_strict: bool) -> None:
+        if rule.bound.rule.rule == "wide":
+            raise OverflowError("too large")
+        original(self, number, rule, is_strict)
+
+    monkeypatch.setattr(Assembly, "_add", overflowing)
+    rule = letter_rule("A B", "A AS n = 1, B AS n = 2")
+    bounds = [bind(rule.model_copy(update={"rule": name}), SCHEMAS) for name in ("good", "wide")]
+    group = RuleSetRun(bounds, uses_kernel=True)
+    found = merged([group.push(letter_rows([{"us": 1, "n": 1}, {"us": 2, "n": 2}])), group.finish()])
+    assert [len(found[name].matches) for name in ("good", "wide")] == [1, 1]
+    assert "rule wide runs without the kernel: too large" in caplog.text
+    assert not group.failures
