@@ -187,12 +187,7 @@ class Keys:
 
     def numbers_of(self, table: Integers, texts: Texts) -> Integers:
         """The numbers of another's keys, whose texts are these."""
-        keys = table.copy()
-        for at, kind in enumerate(self.kinds):
-            if kind is Kind.STRING and len(keys):
-                lookup = np.array([self.texts.number(text) for text in texts.known] or [0], dtype=np.int64)
-                keys[:, at] = lookup[keys[:, at]]
-        return self._interned.numbers(keys)
+        return self._interned.numbers(self._renumbered(table, texts))
 
     def key(self, number: int) -> tuple[Any, ...]:
         """The partition columns of a partition."""
@@ -208,14 +203,19 @@ class Keys:
     def kept(self, numbers: Integers) -> "Keys":
         """Keys that know only these partitions, numbered in this order."""
         kept = Keys(self.kinds)
-        keys = self.table[numbers]
+        kept._interned.numbers(kept._renumbered(self.table[numbers], self.texts))
+        return kept
+
+    def _renumbered(self, table: Integers, texts: Texts) -> Integers:
+        """Keys whose texts have numbers of `texts` with their numbers here; NULL has none, and stays 0."""
+        keys = table.copy()
         for at, kind in enumerate(self.kinds):
             if kind is Kind.STRING:
-                used, inverse = np.unique(keys[:, at], return_inverse=True)
-                table = [kept.texts.number(self.texts.known[number]) for number in used.tolist()]
-                keys[:, at] = np.array(table, dtype=np.int64)[inverse] if len(table) else 0
-        kept._interned.numbers(keys)
-        return kept
+                is_text = keys[:, -1] >> at & 1 == 0
+                used, inverse = np.unique(keys[is_text, at], return_inverse=True)
+                numbers = [self.texts.number(texts.known[number]) for number in used.tolist()]
+                keys[is_text, at] = np.array(numbers, dtype=np.int64)[inverse]
+        return keys
 
     def _words(self, column: Any, kind: Kind) -> Integers:
         words = as_words(column, kind, self.texts)
