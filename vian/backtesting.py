@@ -11,6 +11,8 @@ from events import Segment
 from patterns.binding.bound import BoundRule
 from patterns.engine.situations import Match
 from patterns.processor import ProcessorLimits
+from patterns.processor.deploying import rules_in_service
+from patterns.processor.live import Below, live_source, types_below
 from patterns.processor.passes import site_at
 from patterns.tools.backtest import CONTROL_TYPES, Backtest
 from store import Log
@@ -86,7 +88,7 @@ def backtested(
     Raises:
         PatternError: The rule cannot go on with these events.
     """
-    backtest = backtest_after(log, bound, span.after, limits)
+    backtest = backtest_after(log, bound, span.after, limits, span.sources)
     result = Backtested()
     last_wanted: int | None = None
     for segment in segments_of(log, backtest, span):
@@ -106,9 +108,16 @@ def backtested(
     return result
 
 
-def backtest_after(log: Log, bound: BoundRule, after: int, limits: ProcessorLimits) -> Backtest:
+def backtest_after(
+    log: Log, bound: BoundRule, after: int, limits: ProcessorLimits, sources: Sequence[str] | None = None
+) -> Backtest:
     """A backtest of a rule that begins behind a position, and knows what the log said of the cameras before."""
-    return Backtest(bound, log.catalogue, after=after, site=site_at(log, after), limits=limits)
+
+    def live(position: int) -> str | None:
+        below = Below(types_below(bound.rule, rules_in_service(log)), after)
+        return live_source(log, below, position, sources)
+
+    return Backtest(bound, log.catalogue, after=after, site=site_at(log, after), limits=limits, live=live)
 
 
 def position_before(log: Log, types: Sequence[str], time: datetime) -> int:

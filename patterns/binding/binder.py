@@ -38,6 +38,7 @@ from patterns.binding.program import ProgramTooLarge, Tables, compile_pattern, t
 from patterns.binding.scalars import labelled, translate
 from patterns.binding.scope import Scope
 from patterns.binding.titles import check_formats, title_fields
+from patterns.durations import microseconds
 from patterns.errors import NotInRules, RuleError
 from patterns.files.rule import Rule
 from patterns.language.frames import frames_of
@@ -55,6 +56,9 @@ from patterns.scene.geometry import FrameSize
 from patterns.scene.site import Site
 
 PREDICATES_MOST = 63
+DURATION_MOST_US = 2**62
+"""a time that lies so much before or after any other still has 64 bits"""
+_DURATION_MOST = "2^62 microseconds (53375995 d)"
 
 
 def bind(
@@ -125,6 +129,7 @@ class _Binder:
         query, clause = self.query, self.clause
         self.check_order()
         self.check_rows()
+        self.check_durations()
         keys = tuple(self.key(column) for column in clause.partition_by)
         conditions = self.conditions()
         measures = self.measures()
@@ -279,7 +284,21 @@ class _Binder:
         value = constant_value(expr) if is_constant(expr) else None
         if expr.kind is not Kind.DURATION or not isinstance(value, int) or value <= 0:
             raise self.error("WITHIN: wanted a constant duration above zero", scalar.at)
+        if value > DURATION_MOST_US:
+            raise self.error(f"WITHIN: wanted at most {_DURATION_MOST}, got {value} us", scalar.at)
         return value
+
+    def check_durations(self) -> None:
+        """Checks that what is added to a time stays a time."""
+        time, emit = self.rule.time, self.rule.emit
+        settings = {
+            ("time", "lateness"): time.lateness,
+            ("time", "idle"): time.idle,
+            ("emit", "cooldown"): emit.cooldown,
+        }
+        for (part, name), value in settings.items():
+            if value is not None and microseconds(value) > DURATION_MOST_US:
+                raise self.rule.error(f"{name}: wanted at most {_DURATION_MOST}, got {value.days} d", part, name)
 
     def skip_variables(self) -> tuple[int, ...]:
         variable = self.clause.skip.variable

@@ -154,7 +154,15 @@ class _Translator:
         if isinstance(value, tuple):
             message = f"{self.scope.clause}: :{name} is a list; it stands after IN only, as in `plate IN :{name}`"
             raise self.scope.passage.error(message, self.param_offset(name))
-        return constant(value)
+        return self.constant_of(name, value)
+
+    def constant_of(self, name: str, value: Any) -> Const:
+        """What the parameter, or an item of its list, is."""
+        try:
+            return constant(value)
+        except TypeMismatch as error:
+            message = f"{self.scope.clause}: :{name}: {error}"
+            raise self.scope.passage.error(message, self.param_offset(name)) from error
 
     def param_offset(self, name: str) -> int:
         found = self.scope.passage.text.find(f":{name}", self.at)
@@ -341,7 +349,7 @@ class _Translator:
         if name not in self.scope.params:
             return self.placeholder(listed)
         value = self.expr(node.this)
-        items = [constant(each) for each in self.scope.params[name]]
+        items = [self.constant_of(name, each) for each in self.scope.params[name]]
         kinds = {value.kind, *(item.kind for item in items)} - {Kind.NULL}
         if kinds == {Kind.INT, Kind.FLOAT}:
             value, items = as_float(value), [Const(float(item.value or 0), Kind.FLOAT) for item in items]

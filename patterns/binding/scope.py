@@ -6,6 +6,7 @@ from datetime import timedelta
 from typing import Any
 
 from patterns.binding.expressions import Const, Kind
+from patterns.binding.typing_rules import TypeMismatch
 from patterns.durations import microseconds
 from patterns.language.text import Passage
 from patterns.scene.quantities import Quantity
@@ -50,10 +51,22 @@ class Scope:
 
 
 def constant(value: Any) -> Const:
-    """A parameter's value as a constant."""
+    """A parameter's value as a constant.
+
+    Raises:
+        TypeMismatch: An integer, or a duration in microseconds, beyond 64 bits.
+    """
     if isinstance(value, timedelta):
+        if not _fits(microseconds(value)):
+            raise TypeMismatch(f"a duration is below 2^63 microseconds (106751991 d), got {value.days} d")
         return Const(microseconds(value), Kind.DURATION)
     if isinstance(value, Quantity):
         return Const(value.value, Kind.FLOAT)
+    if isinstance(value, int) and not _fits(value):
+        raise TypeMismatch(f"an integer is at least -2^63 and below 2^63, got {value}")
     kinds = {bool: Kind.BOOL, int: Kind.INT, float: Kind.FLOAT, str: Kind.STRING}
     return Const(value, kinds[type(value)])
+
+
+def _fits(value: int) -> bool:
+    return -(2**63) <= value < 2**63

@@ -28,8 +28,16 @@ from patterns.engine.finds import Events, Finds
 from patterns.engine.interning import Keys, Texts, as_values
 from patterns.engine.kernel import Integers
 from patterns.engine.packed import Assembly, Packed
-from patterns.engine.pools import Shape, grown, new_scratch, new_state, with_partitions, with_partitions_kept
-from patterns.engine.records import ROW_COLUMNS, STREAM_COLUMNS, Arrived, Layout, Recorder, RowEvaluator
+from patterns.engine.pools import (
+    Shape,
+    grown,
+    new_scratch,
+    new_state,
+    rules_of_threads,
+    with_partitions,
+    with_partitions_kept,
+)
+from patterns.engine.records import ROW_COLUMNS, STREAM_COLUMNS, Arrived, Layout, Recorder, RowEvaluator, moved
 from patterns.engine.running import Counts, GivenUp, Outcome, needs
 from patterns.engine.situations import EventRef, Match, Narrator, as_python, event_ref, nearest_time
 from patterns.engine.skipping import rule_skip_error
@@ -42,6 +50,8 @@ from patterns.scene.site import Site
 SLOTS_MOST = 62
 _PARTITIONS_LEAST = 1 << 15
 """Partitions below which forgetting them is not worth while."""
+_TEXTS_LEAST = 1 << 10
+"""Texts below which forgetting them is not worth while."""
 _WAITING_TABLES_MOST = 32
 """Tables of rows that wait, each of which is looked at in each step."""
 _BEFORE_ALL_US = -(2**63)
@@ -177,6 +187,7 @@ class Lane:
         self.state = new_state(self._shape)
         self._place = np.empty(0, dtype=np.int64)
         self._partitions_least = _PARTITIONS_LEAST
+        self._texts_least = _TEXTS_LEAST
         self._is_stale = False
 
     # Rules.
@@ -198,6 +209,7 @@ class Lane:
 
     def admit(self, name: str, packed: Packed) -> None:
         """The rule is one of the lane's, and what it remembers of the rows before now is put in afterwards."""
+        assert not self._is_stale, "the lane is prepared: each rule has its place in the state"
         words, slots = self.layout.words, len(self.layout.slots)
         self._add_member(name, packed)
         self._begin_columns()
@@ -224,7 +236,24 @@ class Lane:
         self.state = self.state._replace(failures=np.delete(self.state.failures, at))
         rules = self.state.cells[:, k.C_RULE]
         rules[rules > at] -= 1
+        self._shrink()
         self.rebuild()
+
+    def _shrink(self) -> None:
+        """Keeps of rows only what the rules ask that are left: nothing is read or drawn for those that went."""
+        before, packed = self.layout, [member.packed for member in self.members]
+        # Who asks about places holds these two.
+        self.zones.clear()
+        self.lines.clear()
+        self.layout = self.recorder.layout = Layout()
+        for each in packed:
+            self._lay_out(each)
+        self.layout.take_rasters(before)
+        rows = moved(self.state.last_rows, before, self.layout, self.layout.bits, self.layout.slots)
+        self.state = self.state._replace(last_rows=rows)
+        self._begin_columns()
+        self.waiting = [rows.select([STREAM, TIME, SEQUENCE, *self._kept]) for rows in self.waiting]
+        self.tails.narrow(*self._looked_back())
 
     @property
     def types(self) -> frozenset[str]:
@@ -242,9 +271,7 @@ class Lane:
 
     def _add_member(self, name: str, packed: Packed) -> Member:
         bound = packed.bound
-        self.zones.update(packed.zones)
-        self.lines.update(packed.lines)
-        self.layout.add(packed.predicates, packed.slots, self.zones)
+        self._lay_out(packed)
         places = Places(bound.rule.zones, bound.rule.lines, self.site)
         member = Member(
             name=name,
@@ -256,6 +283,11 @@ class Lane:
         )
         self.members.append(member)
         return member
+
+    def _lay_out(self, packed: Packed) -> None:
+        self.zones.update(packed.zones)
+        self.lines.update(packed.lines)
+        self.layout.add(packed.predicates, packed.slots, self.zones)
 
     def prepare(self) -> None:
         """Makes the tables anew, if rules have come since they were made: once, however many came."""
@@ -279,11 +311,12 @@ class Lane:
     def _begin_anew(self) -> None:
         self._begin_columns()
         self.state = new_state(self._shape)
+        self.tails = Tails(*self._looked_back())
+
+    def _looked_back(self) -> tuple[int, dict[str, Kind]]:
+        """How many earlier rows the rules read, and which columns of them."""
         reach = max((each.bound.reach for each in self.members), default=0)
-        looked_back_at = {
-            name: kind for each in self.members for name, kind in self.looked_back_at(each.packed).items()
-        }
-        self.tails = Tails(reach, looked_back_at)
+        return reach, {name: kind for each in self.members for name, kind in self.looked_back_at(each.packed).items()}
 
     def _begin_columns(self) -> None:
         """Says which columns are to be kept of rows; with rows waiting, these have them all."""
@@ -414,6 +447,7 @@ class Lane:
         self._expire(watermark_us, is_end=False)
         found = self._found()
         self._limit(before_us, watermark_us)
+        self._forget_texts()
         outcomes = self._outcomes(late, reached, found)
         for member in self.members:
             member.emitter.forget(watermark_us)
@@ -436,7 +470,7 @@ class Lane:
         if watermark_us is not None:
             is_late = rows.column(TIME).to_numpy() < watermark_us
             if is_late.any():
-                late = tuple(self._refs(rows.filter(pa.array(is_late))))
+                late = tuple(dict.fromkeys(self._refs(rows.filter(pa.array(is_late)))))  # of several arms, once
                 rows = rows.filter(pa.array(~is_late))
         self.counts.late += len(late)
         self.counts.rows += rows.num_rows
@@ -707,6 +741,37 @@ class Lane:
         self.state = with_partitions_kept(self.state, kept)
         self.tails.keep_partitions(kept)
         self._place = np.full(len(kept), -1, dtype=np.int64)
+
+    def _forget_texts(self) -> None:
+        """Forgets the texts that no last row and no match remembers, once these may be half of them."""
+        known = self.texts.known
+        if len(known) < 2 * self._texts_least:
+            return
+        places = self._places_of_texts()
+        used = np.unique(np.concatenate([table[rows, column] for table, rows, column in places]))
+        used = used[(used >= 0) & (used < len(known))]
+        # Where it is NULL there may be any number: those that are none become the last of these.
+        numbers = np.zeros(len(known) + 1, dtype=np.int64)
+        numbers[used] = np.arange(len(used))
+        for table, rows, column in places:
+            held = table[rows, column]
+            table[rows, column] = numbers[np.where((held >= 0) & (held < len(known)), held, -1)]
+        self.texts = self.recorder.texts = Texts([known[number] for number in used.tolist()])
+        self._texts_least = max(_TEXTS_LEAST, len(used))
+
+    def _places_of_texts(self) -> list[tuple[Integers, Integers, int]]:
+        """Where numbers of texts stand that are remembered: a table, and in it rows and a column."""
+        state, first = self.state, k.R_BITS + self.layout.words
+        kept = np.flatnonzero(state.last_ordinals[: self.keys.count] >= 0)
+        is_text = np.zeros((len(self.members) + 1, state.registers.shape[1]), dtype=np.bool_)
+        for at, member in enumerate(self.members):
+            is_text[at, : len(member.readers)] = [kind is Kind.STRING for kind in member.readers]
+        slots = [number for slot, number in self.layout.slots.items() if slot.kind is Kind.STRING]
+        rules = rules_of_threads(state)  # The last rule is none: that of records that are free.
+        return [
+            *((state.last_rows, kept, first + at) for at in slots),
+            *((state.registers, np.flatnonzero(is_text[rules, at]), at) for at in range(is_text.shape[1])),
+        ]
 
     def _is_wanted(self, watermark_us: int) -> Any:
         is_wanted = np.zeros(self.keys.count, dtype=np.bool_)

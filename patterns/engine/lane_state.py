@@ -26,7 +26,8 @@ from patterns.engine.interning import Keys, Texts
 from patterns.engine.kernel import Integers, State
 from patterns.engine.lane import Lane, LaneInput, Member
 from patterns.engine.packed import Packed
-from patterns.engine.records import Layout
+from patterns.engine.pools import reached
+from patterns.engine.records import Layout, moved
 from patterns.engine.ruleset import KERNEL_STATE as MAGIC
 from patterns.engine.running import Counts
 from patterns.errors import StateError
@@ -108,14 +109,13 @@ def restored(
     site = Site.from_json(header["site"])
     for lane in lanes:
         if lane.has_room(packed) and _stands_at(lane, packed, saved, site):
-            lane.admit(name, packed)
-            break
-    else:
-        lane = Lane(LaneInput.of(packed), site, clock, is_strict=is_strict)
-        lane.join(name, packed)
-        lane.prepare()
-        _begin(lane, saved)
-    _insert(lane, len(lane.members) - 1, saved)
+            _admit(lane, name, packed, saved)
+            return lane
+    lane = Lane(LaneInput.of(packed), site, clock, is_strict=is_strict)
+    lane.join(name, packed)
+    lane.prepare()
+    _begin(lane, saved)
+    _insert(lane, 0, saved)
     return lane
 
 
@@ -169,21 +169,8 @@ def own_layout(packed: Packed) -> Layout:
 
 def _own_last_rows(lane: Lane, member: Member, rows: Integers) -> Integers:
     """The last rows as a lane of this rule alone would hold them."""
-    return _moved(rows, lane.layout, own_layout(member.packed), member.packed)
-
-
-def _moved(rows: Integers, source: Layout, target: Layout, packed: Packed) -> Integers:
-    """Records of rows with the rule's bits and values in the places of another layout, and nothing else."""
-    moved = np.zeros((len(rows), k.R_BITS + target.words + len(target.slots)), dtype=np.int64)
-    moved[:, : k.R_NULLS] = rows[:, : k.R_NULLS]
-    for predicate in packed.predicates:
-        (word, bit), (target_word, target_bit) = source.bits[predicate], target.bits[predicate]
-        moved[:, k.R_BITS + target_word] |= ((rows[:, k.R_BITS + word] >> bit) & 1) << target_bit
-    for slot in packed.slots:
-        number, other = source.slots[slot], target.slots[slot]
-        moved[:, k.R_BITS + target.words + other] = rows[:, k.R_BITS + source.words + number]
-        moved[:, k.R_NULLS] |= ((rows[:, k.R_NULLS] >> number) & 1) << other
-    return moved
+    packed = member.packed
+    return moved(rows, lane.layout, own_layout(packed), packed.predicates, packed.slots)
 
 
 def _own_texts(lane: Lane, member: Member, registers: Integers, last_rows: Integers) -> list[str]:
@@ -272,6 +259,17 @@ def _waits_alike(lane: Lane, waiting: pa.Table) -> bool:
     )
 
 
+def _admit(lane: Lane, name: str, packed: Packed, saved: Saved) -> None:
+    """The rule goes on among the lane's; if it cannot, the lane is as it was."""
+    lane.prepare()
+    try:
+        lane.admit(name, packed)
+        _insert(lane, len(lane.members) - 1, saved)
+    except Exception:
+        lane.drop(name)
+        raise
+
+
 def _begin(lane: Lane, saved: Saved) -> None:
     """A lane that has seen nothing stands where the saved rule stood."""
     header = saved.header
@@ -324,37 +322,25 @@ def _renumber_rows(pools: dict[str, Integers], more: Integers) -> None:
     cells, attempts, threads, traces = (pools[name] for name in ("cells", "attempts", "threads", "traces"))
     of_cells = more[cells[:, k.C_PARTITION]]
     cells[:, k.C_RESUME] += of_cells
-    of_attempts = _reached(len(attempts), (cells[:, k.C_FIRST], of_cells), attempts[:, k.A_NEXT])
+    of_attempts = reached(len(attempts), (cells[:, k.C_FIRST], of_cells), attempts[:, k.A_NEXT])
     attempts[:, [k.A_ORDINAL, k.E_ORDINAL]] += of_attempts[:, None]
-    of_threads = _reached(len(threads), (attempts[:, k.A_THREAD], of_attempts), threads[:, k.T_NEXT])
+    of_threads = reached(len(threads), (attempts[:, k.A_THREAD], of_attempts), threads[:, k.T_NEXT])
     has_ending = attempts[:, k.E_THREAD] >= 0
     of_threads[attempts[has_ending, k.E_THREAD]] = of_attempts[has_ending]
-    traces[:, k.X_ORDINAL] += _reached(len(traces), (threads[:, k.T_TRACE], of_threads), traces[:, k.X_PARENT])
-
-
-def _reached(count: int, roots: tuple[Integers, Integers], following: Integers) -> Integers:
-    """What the roots say, for each record on the way from them; -1 is no record."""
-    said = np.zeros(count, dtype=np.int64)
-    records, values = roots
-    while len(records):
-        is_there = records >= 0
-        records, values = records[is_there], values[is_there]
-        said[records] = values
-        records = following[records]
-    return said
+    traces[:, k.X_ORDINAL] += reached(len(traces), (threads[:, k.T_TRACE], of_threads), traces[:, k.X_PARENT])
 
 
 def _insert_rows(
     lane: Lane, packed: Packed, partitions: Integers, last_rows: Integers, ordinals: Integers, own: Layout
 ) -> None:
     state, layout = lane.state, lane.layout
-    moved = _moved(last_rows, own, layout, packed)
+    own_rows = moved(last_rows, own, layout, packed.predicates, packed.slots)
     is_new = state.last_ordinals[partitions] < 0
     others = sum(1 << number for slot, number in layout.slots.items() if slot not in packed.slots)
-    state.last_rows[partitions[is_new]] = moved[is_new]
+    state.last_rows[partitions[is_new]] = own_rows[is_new]
     state.last_rows[partitions[is_new], k.R_NULLS] |= others
     state.last_ordinals[partitions[is_new]] = ordinals[is_new]
-    known, mine = partitions[~is_new], moved[~is_new]
+    known, mine = partitions[~is_new], own_rows[~is_new]
     first = k.R_BITS + layout.words
     held = state.last_rows[known]
     held[:, k.R_BITS : first] |= mine[:, k.R_BITS : first]

@@ -104,6 +104,30 @@ def with_partitions_kept(state: State, kept: Integers) -> State:
     )
 
 
+def rules_of_threads(state: State) -> Integers:
+    """For each record of a thread the rule that remembers it; -1: the record is free."""
+    cells, attempts = state.cells, state.attempts
+    used = cells[cells[:, k.C_RULE] >= 0]
+    said = reached(len(attempts), (used[:, k.C_FIRST], used[:, k.C_RULE] + 1), attempts[:, k.A_NEXT])
+    remembered, rules_of = attempts[said > 0], said[said > 0]
+    rules = reached(len(state.threads), (remembered[:, k.A_THREAD], rules_of), state.threads[:, k.T_NEXT])
+    has_ending = remembered[:, k.E_THREAD] >= 0
+    rules[remembered[has_ending, k.E_THREAD]] = rules_of[has_ending]
+    return rules - 1
+
+
+def reached(count: int, roots: tuple[Integers, Integers], following: Integers) -> Integers:
+    """What the roots say, for each record on the way from them; -1 is no record."""
+    said = np.zeros(count, dtype=np.int64)
+    records, values = roots
+    while len(records):
+        is_there = records >= 0
+        records, values = records[is_there], values[is_there]
+        said[records] = values
+        records = following[records]
+    return said
+
+
 def new_scratch(tables: Tables, shape: Shape) -> Scratch:
     """Room to work in, for these rules."""
     most = max(tables.rules[:, k.U_THREADS_MOST].max(initial=0), 1)

@@ -47,7 +47,7 @@ class _Picture:
 
 
 class Layout:
-    """Where each condition and each value stands in a row's record. It only grows."""
+    """Where each condition and each value stands in a row's record. It only grows; fewer need another layout."""
 
     def __init__(self) -> None:
         self.bits: dict[Expr, tuple[int, int]] = {}
@@ -92,6 +92,40 @@ class Layout:
         picture.raster = None
         self.bits[asked] = (picture.inside, bit)
         self.bits[Call("not", (asked,), Kind.BOOL)] = (picture.outside, bit)
+
+    def take_rasters(self, other: "Layout") -> None:
+        """Takes over from another layout the rasters of pictures of the same zones."""
+        drawn = {(each.source, each.units, each.operands, *each.zones): each.raster for each in other.pictures}
+        for picture in self.pictures:
+            picture.raster = drawn.get((picture.source, picture.units, picture.operands, *picture.zones))
+
+
+def moved(
+    rows: Integers, source: Layout, target: Layout, predicates: Iterable[Expr], slots: Iterable[Expr]
+) -> Integers:
+    """Records of rows with these bits and values in the places of another layout, and nothing else."""
+    records = np.zeros((len(rows), k.R_BITS + target.words + len(target.slots)), dtype=np.int64)
+    records[:, : k.R_NULLS] = rows[:, : k.R_NULLS]
+    words, target_words = rows.view(np.uint64), records.view(np.uint64)
+    for (word, target_word, shift), mask in _shifted_bits(source, target, predicates).items():
+        bits = words[:, k.R_BITS + word] & np.uint64(mask)
+        there = bits << np.uint64(shift) if shift >= 0 else bits >> np.uint64(-shift)
+        target_words[:, k.R_BITS + target_word] |= there
+    for slot in slots:
+        number, other = source.slots[slot], target.slots[slot]
+        records[:, k.R_BITS + target.words + other] = rows[:, k.R_BITS + source.words + number]
+        records[:, k.R_NULLS] |= ((rows[:, k.R_NULLS] >> number) & 1) << other
+    return records
+
+
+def _shifted_bits(source: Layout, target: Layout, predicates: Iterable[Expr]) -> dict[tuple[int, int, int], int]:
+    """The bits that move alike, as a mask: by word from, word to, and by how many places."""
+    masks: dict[tuple[int, int, int], int] = {}
+    for predicate in predicates:
+        (word, bit), (target_word, target_bit) = source.bits[predicate], target.bits[predicate]
+        move = (word, target_word, target_bit - bit)
+        masks[move] = masks.get(move, 0) | 1 << bit
+    return masks
 
 
 def _zone_of(predicate: Expr) -> InZone | None:
@@ -217,7 +251,7 @@ class Recorder:
         """What conditions and values took in the last step, by the clock; what all zones share is not in it."""
         self.places = places
         self.texts = texts
-        self.failures: dict[Expr, PatternError] = {}
+        self.failures: dict[Expr, Exception] = {}
 
     def forget_rasters(self) -> None:
         """The frames have other sizes from now on."""
@@ -262,7 +296,7 @@ class Recorder:
             began = self.clock()
             try:
                 truth = evaluator.truth(predicate)[fresh:]
-            except PatternError as error:
+            except Exception as error:  # Whatever it is, only the rules that ask for it fail.
                 self.failures[predicate] = error
                 continue
             rows[:, column] |= truth.astype(np.int64) << bit
@@ -299,10 +333,10 @@ class Recorder:
     def _write_slot(self, evaluator: RowEvaluator, slot: Expr, number: int, rows: Integers, fresh: int) -> None:
         try:
             values = evaluator.column(slot)
-        except PatternError as error:
+            values = values.slice(fresh) if fresh else values
+            rows[:, k.R_BITS + self.layout.words + number] = as_words(values, slot.kind, self.texts)
+        except Exception as error:  # Whatever it is, only the rules that ask for it fail.
             self.failures[slot] = error
             return
-        values = values.slice(fresh) if fresh else values
-        rows[:, k.R_BITS + self.layout.words + number] = as_words(values, slot.kind, self.texts)
         if values.null_count:
             rows[:, k.R_NULLS] |= np.asarray(values.is_null()).astype(np.int64) << number

@@ -11,6 +11,7 @@ Rules are known by their names. Outcomes are given for the rules that have
 something to say: a match, a late row, something given up.
 """
 
+import logging
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -30,6 +31,8 @@ if TYPE_CHECKING:
     # Numba takes a third of a second to import: only who runs rules pays that.
     from patterns.engine.lane import Lane
     from patterns.engine.packed import Packed
+
+logger = logging.getLogger(__name__)
 
 T = TypeVar("T")
 
@@ -111,7 +114,7 @@ class RuleSetRun:
 
     # Rules come and go.
 
-    def add(self, bound: BoundRule, state: bytes | None = None, name: str | None = None) -> None:
+    def add(self, bound: BoundRule, state: bytes | None = None, name: str | None = None, spent_s: float = 0.0) -> None:
         """The rule takes part from the next step on.
 
         Args:
@@ -120,6 +123,7 @@ class RuleSetRun:
                 cameras what the set was told.
             name: What the set shall know it by, where that is not the rule's name: two versions of
                 a rule may run side by side.
+            spent_s: Seconds that it has taken elsewhere, from which its own go on.
 
         Raises:
             PatternError: The set has a rule of this name.
@@ -135,7 +139,7 @@ class RuleSetRun:
             self._add_to_lane(name, packed, None if state is None else _for_kernel(packed, state))
         self.failures.pop(name, None)
         self._names[name] = None
-        self._spent_s[name] = 0.0
+        self._spent_s[name] = spent_s
 
     def remove(self, name: str) -> None:
         """The rule takes no more part, and what it remembered is forgotten.
@@ -148,17 +152,31 @@ class RuleSetRun:
             self._drop(name)
 
     def use_kernel(self) -> None:
-        """Rules that came before the kernel was compiled go on on it, if it is by now and can express them."""
+        """Rules that came before the kernel was compiled go on on it, if it is by now and can express them.
+
+        A rule that cannot be moved, for whatever reason, goes on where it is, and is not asked again.
+        """
         waiting = [name for name in self._alone if name not in self._stays_alone]
         if self._uses_kernel is not None or not waiting or not self._may_use_kernel:
             return
         for name in waiting:
-            packed = self._packed(self._alone[name].bound)
-            if packed is None:
+            try:
+                is_moved = self._is_moved(name)
+            except Exception as error:  # Whatever keeps it from moving, it runs where it is, and the others move.
+                logger.warning("rule %s goes on without the kernel: %s", name, error, exc_info=error)
+                is_moved = False
+            if is_moved:
+                del self._alone[name]
+            else:
                 self._stays_alone.add(name)
-                continue
-            self._add_to_lane(name, packed, _for_kernel(packed, self._alone[name].state()))
-            del self._alone[name]
+
+    def _is_moved(self, name: str) -> bool:
+        """Whether a rule that runs alone is in a lane now, with all that it remembers."""
+        packed = self._packed(self._alone[name].bound)
+        if packed is None:
+            return False
+        self._add_to_lane(name, packed, _for_kernel(packed, self._alone[name].state()))
+        return True
 
     def state(self, name: str) -> bytes:
         """All that the rule remembers; `add` goes on from it.
@@ -190,6 +208,15 @@ class RuleSetRun:
         return RuleStatus(
             counts, lane.watermark, lane.rows_waiting, lane.partitions_open(name), member.emitter.held_back, spent_s
         )
+
+    def watermark(self, name: str) -> datetime | None:
+        """How far the rule's time has come, as in its status, but without looking at its partitions.
+
+        Raises:
+            PatternError: The set has no such rule.
+        """
+        self._check_has(name)
+        return self._alone[name].watermark if name in self._alone else self._lane_of[name].watermark
 
     def spent_s(self, name: str) -> float:
         """Seconds that the rule has taken, by the clock that the set was given.
@@ -280,9 +307,14 @@ class RuleSetRun:
         """The source will send no more."""
         return self._each(lambda run: run.source_ended(source), lambda lane: lane.source_ended(source))
 
-    def settle(self) -> Outcomes:
-        """All that was said so far has come, what rules found included."""
-        return self._each(lambda run: run.settle(), lambda lane: {})
+    def may_settle(self, name: str) -> bool:
+        """Whether `settle` would finish the rule."""
+        return name in self._alone and self._alone[name].may_settle
+
+    def settle(self, name: str | None = None) -> Outcomes:
+        """All that was said so far has come to the rule, what others found included; None: to all rules."""
+        chosen = [each for each in self._alone if name in (None, each)]
+        return merged(self._step_alone(each, self._alone[each], lambda run: run.settle()) for each in chosen)
 
     def advance_idle(self, now: datetime) -> Outcomes:
         """Looks, by the clock on the wall, for sources that have been silent for the idle time."""
@@ -365,9 +397,14 @@ class RuleSetRun:
         from patterns.engine.packed import NotPacked, pack
 
         try:
-            return pack(bound)
+            packed = pack(bound)
+            _check_tables(packed)
         except NotPacked:
             return None
+        except Exception as error:  # Found out before it is among others, whom it would keep from their tables.
+            logger.warning("rule %s runs without the kernel: %s", bound.rule.rule, error, exc_info=error)
+            return None
+        return packed
 
     def _add_to_lane(self, name: str, packed: "Packed", state: bytes | None) -> None:
         from patterns.engine.lane_state import restored
@@ -415,6 +452,16 @@ def merged(parts: Iterable[Mapping[str, Outcome]]) -> Outcomes:
         for name, outcome in part.items():
             whole[name] = whole[name] + outcome if name in whole else outcome
     return whole
+
+
+def _check_tables(packed: "Packed") -> None:
+    """Makes the kernel's tables of the rule alone, as a lane makes them of many; raises whatever that raises."""
+    from patterns.engine.packed import Assembly
+    from patterns.engine.records import Layout
+
+    layout = Layout()
+    layout.add(packed.predicates, packed.slots, packed.zones)
+    Assembly(layout.bits, layout.slots, layout.words).tables([packed], is_strict=False)
 
 
 def _for_kernel(packed: "Packed", state: bytes) -> bytes:

@@ -219,11 +219,18 @@ class RuleRun:
             return self.finish()
         return self._outcome(self._advance())
 
+    @property
+    def may_settle(self) -> bool:
+        """Whether the rule reads situations, and all sources that it has heard of have ended."""
+        return self._reads_situations and self._clock.have_ended(apart=SITUATIONS_SOURCE)
+
     def settle(self) -> Outcome:
-        """All that was said so far has come. A rule that reads situations is finished where all sources have ended."""
-        if self._reads_situations and self._clock.have_ended(apart=SITUATIONS_SOURCE):
-            return self.finish()
-        return Outcome()
+        """All that was said so far has come. A rule that reads situations is finished where all sources have ended.
+
+        It hears of a source by situations, and by other events that it reads: whether another source lives, that rules
+        below it read, who calls this knows.
+        """
+        return self.finish() if self.may_settle else Outcome()
 
     def advance_idle(self, now: datetime) -> Outcome:
         """Looks, by the clock on the wall, for sources that have been silent for the idle time."""

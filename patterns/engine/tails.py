@@ -12,13 +12,16 @@ from patterns.binding.rows import SEQUENCE, STREAM, TIME
 from patterns.engine.kernel import Integers, chained
 from patterns.engine.records import Arrived
 
+_ALWAYS = (STREAM, TIME, SEQUENCE)
+"""columns that are kept of every row"""
+
 
 class Tails:
     """By partition its last `reach` rows, newest first; of each the columns that are looked back at."""
 
     def __init__(self, reach: int, columns: Mapping[str, Kind]) -> None:
         self.reach = reach
-        self.kinds: dict[str, Kind] = {STREAM: Kind.INT, TIME: Kind.INT, SEQUENCE: Kind.INT, **columns}
+        self.kinds: dict[str, Kind] = {**dict.fromkeys(_ALWAYS, Kind.INT), **columns}
         self.clear()
 
     def clear(self) -> None:
@@ -49,6 +52,17 @@ class Tails:
             for name, values in held.items():
                 held[name] = values[kept]
 
+    def narrow(self, reach: int, columns: Mapping[str, Kind]) -> None:
+        """Remembers no more than so many rows and these columns, all of which it remembers."""
+        self.reach = reach
+        self.kinds = {name: kind for name, kind in self.kinds.items() if name in columns or name in _ALWAYS}
+        if reach == 0:
+            self.clear()
+            return
+        self.counts = np.minimum(self.counts, reach)
+        self.values = {name: self.values[name][:, :reach].copy() for name in self.kinds}
+        self.is_null = {name: self.is_null[name][:, :reach].copy() for name in self.kinds}
+
     def covers(self, reach: int, columns: Mapping[str, Kind]) -> bool:
         """Whether these columns of so many rows are remembered."""
         return self.reach >= reach and columns.keys() <= self.kinds.keys()
@@ -59,7 +73,7 @@ class Tails:
             return pa.table({})
         said = {"@count": pa.array(self.counts[partitions])}
         for name, kind in self.kinds.items():
-            if name in columns or name in (STREAM, TIME, SEQUENCE):
+            if name in columns or name in _ALWAYS:
                 for age in range(self.reach):
                     is_null = self.is_null[name][partitions, age] | (self.counts[partitions] <= age)
                     said[f"{age}/{name}"] = pa.array(self.values[name][partitions, age], arrow_type(kind), mask=is_null)

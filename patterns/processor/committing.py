@@ -6,7 +6,7 @@ appended again, and where it decided something that the log does not hold (that 
 one is told to begin again from the log.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from functools import cache, partial
@@ -86,14 +86,37 @@ class Committer:
         work.findings[:] = [each.finding for each in ordered]
         return ordered
 
-    def commit(self, work: Work, written: Sequence[Written], leaving: Sequence[Member], *, is_saving: bool) -> int:
+    def states(self, work: Work, leaving: Sequence[Member], *, is_saving: bool) -> dict[str, bytes]:
+        """By rule that stays what it remembers, to be saved.
+
+        A rule of which that cannot be had is marked as failed behind this work, as one that raises: the others go on.
+
+        Args:
+            work: What was found.
+            leaving: The rules that leave service with it.
+            is_saving: Whether all are saved; else those only that silence has moved, which the log does not hold.
+        """
+        silenced = {each.member.name for each in work.findings if each.is_by_silence}
+        states = {}
+        for member in work.rules.members.values():
+            if member in leaving or not (is_saving or member.name in silenced):
+                continue
+            try:
+                states[member.name] = state_bytes(_state(work, member))
+            except Exception as error:  # The rule is named with it when it leaves.
+                member.failure, member.failed_at = error, work.position + 1
+        return states
+
+    def commit(
+        self, work: Work, written: Sequence[Written], leaving: Sequence[Member], states: Mapping[str, bytes]
+    ) -> int:
         """Append what was found, and set the marks; the number of situations appended.
 
         Args:
             work: What was found.
             written: The same as segments.
             leaving: The rules that leave service with it.
-            is_saving: Whether what the rules remember is saved, too.
+            states: By rule what it remembers, of those of which that is saved, too.
 
         Raises:
             Overtaken: Another processor has decided something that this one does not know. Nothing is appended.
@@ -102,11 +125,10 @@ class Committer:
         members = list(work.rules.members.values())
         silenced = {each.member.name for each in work.findings if each.is_by_silence}
         said = {each.member.name for each in work.findings if each.outcome.matches}
-        saving = [each for each in members if each not in leaving and (is_saving or each.name in silenced)]
+        saving = [each for each in members if each.name in states]
         moving = [each for each in members if each in leaving or each in saving or each.name in said]
         if not moving:
             return 0
-        states = {each.name: state_bytes(_state(work, each)) for each in saving}
         places = {each.name: mark_name(self._station, *each.service.key) for each in moving}
         with self._log.transaction() as transaction:
             locked = transaction.checkpoints(list(places.values()))

@@ -103,10 +103,14 @@ def readable_by(log: Log, rule: Rule, others: Sequence[Rule] | None = None) -> M
     known = schemas(log.catalogue)
     if not rules_read(rule):
         return known
-    if others is None:
-        stations = {head.stream.station for head in log.streams() if head.stream.type == RuleDeployed.type_name}
-        others = [each for station in sorted(stations) for each in _in_service(standing(log, station))]
+    others = rules_in_service(log) if others is None else others
     return with_situations(known, list({each.rule: each for each in (*others, rule)}.values()))
+
+
+def rules_in_service(log: Log) -> list[Rule]:
+    """The rules that the log says are in service, at any station."""
+    stations = {head.stream.station for head in log.streams() if head.stream.type == RuleDeployed.type_name}
+    return [each for station in sorted(stations) for each in _in_service(standing(log, station))]
 
 
 def _in_service(services: Mapping[Key, Service]) -> list[Rule]:

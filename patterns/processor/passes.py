@@ -3,13 +3,13 @@
 Contract: each segment is one unit of arrival, given whole and in order of position, so what a rule
 finds depends on the log alone, never on how it was read. Segments that were read together are run together, because
 that is many times cheaper; what they lead to is still told segment by segment. A rule is fed with segments of the types
-that it reads, whichever other rules there are. Events of a source whose time is far ahead of both
-the log's clock and the source's own past are kept out, so that one wrong clock does not make all
+that it reads, whichever other rules there are. Events of a stream whose time is far ahead of both
+the log's clock and the stream's own past are kept out, so that one wrong clock does not make all
 that follows late.
 """
 
 import logging
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from itertools import accumulate, groupby
@@ -75,12 +75,15 @@ class Pass:
         self.position = position
         self.members: dict[str, Member] = {}
         self.newest_us: dict[str, int] = {}
-        """For each source the newest time that was let in."""
+        """For each stream the newest time that was let in: of its own stream alone, so that what is believed of it does
+        not depend on which other types are read."""
         self.segments_skipped = 0
         """Segments of a type or version unknown here, which took no part."""
         self.events_unsaved = 0
         self.save_at = 0.0
         """When what its rules remember is to be saved, by the processor's clock."""
+        self._live: dict[str, str] = {}
+        """For rules that read situations a source that may still lead to some."""
         self._catalogue = catalogue
         self._limits = limits
         self._site: dict[tuple[object, ...], SiteEvent] = {}
@@ -95,35 +98,38 @@ class Pass:
         """The event types whose segments it is to be given."""
         return {str(each.type_name) for each in CONTROL}.union(*self._sets)
 
-    def add(self, member: Member, saved: SavedState | None = None) -> None:
-        """The rule takes part from here on; with a saved state it goes on from that.
+    def add(self, member: Member, saved: SavedState | None = None, spent_s: float = 0.0) -> None:
+        """The rule takes part from here on; with a saved state it goes on from that, `spent_s` from what it has taken.
 
         Raises:
             StateError: The state is not one of this rule.
         """
-        self._set_of(member).add(member.bound, None if saved is None else saved.run, member.name)
+        self._set_of(member).add(member.bound, None if saved is None else saved.run, member.name, spent_s)
         self.members[member.name] = member
         self._columns.pop(member.types, None)
-        for source, newest_us in (saved.newest_us if saved is not None else {}).items():
-            self.newest_us[source] = max(newest_us, self.newest_us.get(source, newest_us))
+        for stream, newest_us in (saved.newest_us if saved is not None else {}).items():
+            self.newest_us[stream] = max(newest_us, self.newest_us.get(stream, newest_us))
 
     def remove(self, member: Member) -> None:
         """The rule takes no more part."""
+        self._live.clear()  # those above it may wait for less
         del self.members[member.name]
         self._columns.pop(member.types, None)
         self._sets[member.types].remove(member.name)
         if not any(each.types == member.types for each in self.members.values()):
             del self._sets[member.types]
 
-    def absorb(self, other: "Pass") -> None:
-        """Takes over the rules of a pass that stands at the same position.
-
-        Raises:
-            StateError: A rule does not understand its own state.
-        """
+    def absorb(self, other: "Pass") -> list[tuple[Member, Exception]]:
+        """Takes over the rules of a pass that stands at the same position; those that could not be, and why."""
         assert other.position == self.position, f"passes at {other.position} and {self.position} cannot be one"
+        refused: list[tuple[Member, Exception]] = []
         for member in other.members.values():
-            self.add(member, SavedState(other.position, 0, other.state(member), other.newest_us))
+            try:
+                saved = SavedState(other.position, 0, other.state(member), other.newest_us)
+                self.add(member, saved, other._sets[member.types].spent_s(member.name))
+            except Exception as error:  # Whatever it is, the other rules go on; the caller names the rule.
+                refused.append((member, error))
+        return refused
 
     def state(self, member: Member) -> bytes:
         """All that the rule's run remembers."""
@@ -240,9 +246,9 @@ class Pass:
                 if each.types == types and each.rule.time.idle and each.failure is None
             ]
             if waiting:
-                before = {each.name: rules.status(each.name).watermark for each in waiting}
+                before = {each.name: rules.watermark(each.name) for each in waiting}
                 outcomes = rules.advance_idle(now)
-                moved = [n for n, at in before.items() if n in rules.rules and rules.status(n).watermark != at]
+                moved = [n for n, at in before.items() if n in rules.rules and rules.watermark(n) != at]
                 outcomes = {name: outcomes.get(name, _NOTHING) for name in (*moved, *outcomes)}
                 findings += self._findings(outcomes, rules, is_by_silence=True)
         return findings
@@ -252,12 +258,26 @@ class Pass:
         """Whether what rules find leads to more."""
         return any(SITUATION in types for types in self._sets)
 
-    def settle(self) -> list[Finding]:
-        """What follows for rules that read situations from there being nothing more to come: sources have ended."""
+    def settle(self, live: Callable[[Member, int], str | None]) -> list[Finding]:
+        """What follows for rules that read situations from there being nothing more to come: sources have ended.
+
+        Args:
+            live: A source that may still lead to situations that the rule reads, as the log says it up to a position;
+                None: there is none. It is asked again only when the one that it named has ended.
+        """
         findings = []
-        for types, rules in list(self._sets.items()):
-            if SITUATION in types:
-                findings += self._findings(rules.settle(), rules, is_by_silence=True)
+        for member in list(self.members.values()):
+            rules = self._sets[member.types]
+            if member.failure is not None or member.name in self._live or not rules.may_settle(member.name):
+                continue
+            source = live(member, self.position)
+            if source is not None:
+                self._live[member.name] = source
+                continue
+            # The log does not say when this was, so it is recorded even where it leads to nothing.
+            outcomes = rules.settle(member.name)
+            kept = {member.name: _NOTHING} if member.name in rules.rules else {}
+            findings += self._findings(kept | outcomes, rules, is_by_silence=True)
         return findings
 
     def pace(self) -> None:
@@ -282,6 +302,8 @@ class Pass:
     def _told(self, event: EventType, segment: Segment, sequence: int) -> list[Finding]:
         if not isinstance(event, ENDS):
             return self._learn(event, str(segment.stream), sequence)
+        ended = str(segment.stream.source)
+        self._live = {name: source for name, source in self._live.items() if source != ended}
         findings = []
         for rules in list(self._sets.values()):
             findings += self._findings(rules.source_ended(segment.stream.source), rules)
@@ -324,22 +346,21 @@ class Pass:
         """The events but for those far in the future, with their sequences."""
         first = segment.header.first_sequence
         rows = batch.data.append_column("sequence", pa.array(np.arange(first, first + len(batch), dtype=np.int64)))
-        source, ahead = str(segment.stream.source), self._limits.ahead
-        newest_us = self.newest_us.get(source)
+        stream, ahead = str(segment.stream), self._limits.ahead
+        newest_us = self.newest_us.get(stream)
         latest_us = _us(segment.header.time_max)
         if ahead is None or newest_us is None or segment.header.time_max - segment.recorded_at <= ahead:
-            self.newest_us[source] = latest_us if newest_us is None else max(latest_us, newest_us)
+            self.newest_us[stream] = latest_us if newest_us is None else max(latest_us, newest_us)
             return rows
         most_us = max(newest_us, _us(segment.recorded_at)) + microseconds(ahead)
         times = rows.column("time").cast(pa.int64()).to_numpy()
         is_believed = times <= most_us
         if is_believed.any():
-            self.newest_us[source] = max(newest_us, int(times[is_believed].max()))
+            self.newest_us[stream] = max(newest_us, int(times[is_believed].max()))
         refused = np.flatnonzero(~is_believed)
         if len(refused):
             refs = [
-                EventRef(str(segment.stream), first + int(at), _EPOCH + timedelta(microseconds=int(times[at])))
-                for at in refused
+                EventRef(stream, first + int(at), _EPOCH + timedelta(microseconds=int(times[at]))) for at in refused
             ]
             for member in self.members.values():
                 if segment.stream.type in member.types:
@@ -436,9 +457,9 @@ def _events(segment: Segment, catalogue: Catalogue) -> list[EventType]:
         return []  # counted and logged where the segment is read in its turn
 
 
-def newest_of(newest_us: Mapping[str, int]) -> int:
-    """The newest time of any source, in microseconds; 0 where there is none."""
-    return max(newest_us.values(), default=0)
+def newest_of(newest_us: Mapping[str, int], types: Collection[str]) -> int:
+    """The newest time of any stream of these types, in microseconds; 0 where there is none."""
+    return max((each for stream, each in newest_us.items() if stream.rsplit("/", 1)[-1] in types), default=0)
 
 
 def _us(time: datetime) -> int:

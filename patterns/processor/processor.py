@@ -38,10 +38,12 @@ from patterns.processor.deploying import (
     note,
     readable_by,
     rule_of,
+    rules_in_service,
     schemas,
     standing,
 )
 from patterns.processor.limits import ProcessorLimits
+from patterns.processor.live import Below, live_source, types_below
 from patterns.processor.members import Finding, Member
 from patterns.processor.passes import Pass, RunOneByOne, newest_of, site_at
 from patterns.processor.saving import (
@@ -193,6 +195,7 @@ class Processor:
             for rules in (self._main, *self._joining):
                 if any(each.mark.saved < rules.position for each in rules.members.values()):
                     self._commit(Work(rules, rules.position, [], []), is_saving=True)
+                    rules.use_kernel()
         except Overtaken as error:
             logger.warning("%s; going on from the log", error)
             self._is_stale, self._work = True, None
@@ -277,9 +280,7 @@ class Processor:
         try:
             member = self._member(service)
         except PatternError as error:
-            self._set_aside(service, error)
-            if self._given is None and gone is None:
-                self._log.append(self._committer.end_of(service, error, service.position))
+            self._refuse(service, error, service.position)
             return
         self._failures.pop(name, None)
         if mark is not None and (mark.life == service.life or self._given is not None):
@@ -287,7 +288,11 @@ class Processor:
         if not self._is_restored(member):
             if row.position > service.after:
                 member.known = self._identities(service)
-            self._pass_for(service.after if start is None else start).add(member)
+            rules = self._pass_for(service.after if start is None else start)
+            try:
+                rules.add(member)
+            except Exception as error:  # Whatever it is, the processor begins with the others.
+                self._refuse(service, error, service.position)
 
     def _member(self, service: Service) -> Member:
         rule = self._rule(service)
@@ -313,18 +318,26 @@ class Processor:
         name, version = member.service.key
         try:
             state = stored_state(self._log, self._station, name, version)
-            if state is None or (state.life != member.mark.life):
-                return False
-            self._pass_for(state.position).add(member, state)
-            member.mark = replace(member.mark, saved=state.position)
         except StateError as error:
-            logger.warning(
-                "rule %s version %d is run again from position %d, and nothing is appended twice: %s",
-                name, version, member.service.after, error,
-            )  # fmt: skip
+            self._warn_of_state(member, error)
             return False
+        if state is None or (state.life != member.mark.life):
+            return False
+        rules = self._pass_for(state.position)
+        try:
+            rules.add(member, state)
+        except Exception as error:  # What else a state leads to that fits nothing any more: it is of no use.
+            self._warn_of_state(member, error)
+            return False
+        member.mark = replace(member.mark, saved=state.position)
         member.finish_after_us = state.finish_after_us
         return True
+
+    def _warn_of_state(self, member: Member, error: Exception) -> None:
+        logger.warning(
+            "rule %s version %d is run again from position %d, and nothing is appended twice: %s",
+            *member.service.key, member.service.after, error if isinstance(error, StateError) else repr(error),
+        )  # fmt: skip
 
     def _identities(self, service: Service) -> set[str]:
         """Of the situations of a version that are in the log behind where it begins."""
@@ -364,13 +377,19 @@ class Processor:
         self._main.position = position
         if self._main.reads_situations:
             is_caught_up = is_caught_up and not segments  # what these led to is still to be read
-            findings += self._main.settle() if is_caught_up else []
+            is_settled = is_caught_up and not self._joining  # what those behind find is still to be read, too
+            findings += self._main.settle(self._live_source) if is_settled else []
         if is_caught_up and self._now is not None:
             findings += self._main.fall_idle(self._now())
         self._subscription.position = position
         self._work = Work(self._main, position, findings, rule_events)
         self._is_stale = False
         return is_caught_up
+
+    def _live_source(self, member: Member, position: int) -> str | None:
+        """A source that may still lead to situations that the rule reads."""
+        others = rules_in_service(self._log) if self._given is None else list(self._given.values())
+        return live_source(self._log, Below(types_below(member.rule, others), member.service.after), position)
 
     def _catch_up(self, rules: Pass) -> None:
         """Give a pass that is behind a page of what lies between it and the leading one."""
@@ -416,12 +435,15 @@ class Processor:
         work = self._work
         if work is None:
             return 0
-        situations = self._commit(work, is_saving=self._is_save_due(work.rules))
+        is_saving = self._is_save_due(work.rules)
+        situations = self._commit(work, is_saving=is_saving)
         if work.rule_events:
             self._is_stale = True  # a change is taken in whole, or again from the log
             self._change(work.rule_events)
             self._is_stale = False
-        self._work = None
+        self._work = None  # what is committed is not committed again, whatever follows
+        if is_saving:
+            work.rules.use_kernel()
         self._joined()
         self._note_position()
         return situations
@@ -451,7 +473,8 @@ class Processor:
         for rules in [each for each in self._joining if each.position == self._main.position or not each.members]:
             self._joining.remove(rules)
             self._segments_skipped += rules.segments_skipped
-            self._main.absorb(rules)
+            for member, error in self._main.absorb(rules):
+                self._refuse(member.service, error, rules.position)
             self._want()
 
     def _want(self) -> None:
@@ -483,7 +506,7 @@ class Processor:
         if member.finish_after_us is None:
             within_us = member.bound.within_us
             longest_us = microseconds(self._limits.finish) if within_us is None else within_us
-            member.finish_after_us = newest_of(rules.newest_us) + longest_us
+            member.finish_after_us = newest_of(rules.newest_us, member.types) + longest_us
         watermark_us = None if status.watermark is None else as_microseconds(status.watermark)
         return isinstance(watermark_us, int) and watermark_us > member.finish_after_us
 
@@ -491,6 +514,12 @@ class Processor:
         """Name the rule that cannot go on."""
         self._failures[service.rule] = error
         logger.error("rule %s is set aside: %s", service.rule, error)
+
+    def _refuse(self, service: Service, error: Exception, position: int) -> None:
+        """Set a rule aside that is in no pass, and say so in the log, where that says which rules run."""
+        self._set_aside(service, error)
+        if self._given is None and service.retirement is None:
+            self._log.append(self._committer.end_of(service, error, position))
 
     def _at(self) -> datetime:
         """When it is now, by the clock on the wall or, in a replay, by that of the log."""
@@ -509,13 +538,14 @@ class Processor:
     def _commit(self, work: Work, *, is_saving: bool) -> int:
         written = self._committer.written(work)
         leaving = self._leaving(work.rules)
-        situations = self._committer.commit(work, written, leaving, is_saving=is_saving)
+        states = self._committer.states(work, leaving, is_saving=is_saving)
+        leaving += [each for each in work.rules.members.values() if each.failure is not None and each not in leaving]
+        situations = self._committer.commit(work, written, leaving, states)
         for member in leaving:
             if member.failure is not None:
                 self._set_aside(member.service, member.failure)
         if is_saving:
             self._plan_save(work.rules)
-            work.rules.use_kernel()
         return situations
 
 

@@ -56,7 +56,7 @@ class SavedState:
         position: It has seen the log up to here.
         life: Which of its times in service this is.
         run: What its run remembers.
-        newest_us: For each source the newest time that was let in.
+        newest_us: For each stream the newest time that was let in.
         finish_after_us: When it leaves service, in event time, if it is about to.
     """
 

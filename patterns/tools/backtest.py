@@ -6,7 +6,7 @@ segments. What depends on the clock on the wall does not happen: no source falls
 """
 
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -40,6 +40,7 @@ class Backtest:
         after: int = 0,
         site: Iterable[SiteEvent] = (),
         limits: ProcessorLimits | None = None,
+        live: Callable[[int], str | None] = lambda position: None,
     ) -> None:
         """Begin where nothing has happened.
 
@@ -49,6 +50,7 @@ class Backtest:
             after: The position behind which the rule begins.
             site: What the log up to there says of the cameras, in order.
             limits: Those of the processor.
+            live: A source that may still lead to situations that the rule reads, as the log says it up to a position.
         """
         self.site = bound.site.copy()
         """All that the log has said of the cameras so far."""
@@ -59,6 +61,7 @@ class Backtest:
         self._pass = Pass(after, catalogue, limits or ProcessorLimits(), said)
         self._pass.add(self._member)
         self._catalogue = catalogue
+        self._live = live
         for each in said:
             self._learn(*each)
 
@@ -90,7 +93,7 @@ class Backtest:
 
     def settle(self) -> Outcome:
         """What follows from the log's holding no more."""
-        return self._told(self._pass.settle())
+        return self._told(self._pass.settle(lambda member, position: self._live(position)))
 
     def _told(self, findings: Iterable[Finding]) -> Outcome:
         outcome = Outcome()

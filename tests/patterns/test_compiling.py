@@ -119,3 +119,27 @@ def test_what_ran_on_the_kernel_goes_on_where_it_is_not_compiled(monkeypatch: py
     assert restored.state("sample").startswith(b"VRS1")
     found = merged([*steps, restored.push(rows.slice(4)), restored.finish()])
     assert list(found["sample"].matches) == match(bound, rows) != []
+
+
+def test_a_rule_that_cannot_be_moved_to_the_kernel_goes_on_and_the_others_move(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    compiling.compile_kernel()
+    rule = letter_rule("A B", define_letters("AB"), more="time: {lateness: 0 s}")
+    bounds = [bind(rule.model_copy(update={"rule": name}), SCHEMAS) for name in ("stuck", "moves")]
+    monkeypatch.setattr(compiling, "is_compiled", lambda: False)
+    group = RuleSetRun(bounds)
+    rows = letters("cacab")
+    steps = [group.push(rows.slice(0, 4))]
+    monkeypatch.setattr(compiling, "is_compiled", lambda: True)
+    with monkeypatch.context() as broken:
+        broken.setattr(group._alone["stuck"], "state", lambda: [][0])
+        group.use_kernel()
+        group.use_kernel()
+    assert caplog.text.count("rule stuck goes on without the kernel: list index out of range") == 1
+    assert [group.state(name)[:4] for name in group.rules] == [b"VRS1", b"VRS2"]
+    found = merged([*steps, group.push(rows.slice(4)), group.finish()])
+    assert {name: list(each.matches) for name, each in found.items()} == {
+        bound.rule.rule: match(bound, rows) for bound in bounds
+    }
+    assert not group.failures

@@ -1,22 +1,25 @@
 """The compiled kernel and the general matcher agree: random rules, random rows, random splits."""
 
 import re
+from datetime import timedelta
 from itertools import accumulate
 from typing import Any
 
+import pyarrow as pa
 import pytest
 from hypothesis import assume, given, note
 from hypothesis import strategies as st
 
-from patterns import Outcome, PatternError, RuleRun, RuleSetRun
+from patterns import Outcome, PatternError, RuleRun, RuleSetRun, bind, parse_rule
 from patterns.binding.bound import BoundRule
 from patterns.binding.rows import Units
 from patterns.engine.compiling import compile_kernel
+from patterns.engine.lane_state import decoded, encoded
 from patterns.engine.packed import pack
 from patterns.engine.ruleset import merged
 from tests.patterns.examples import examples
 from tests.patterns.reference import Tree, rendered
-from tests.patterns.samples import bound_unless_empty, letter_rows, letter_rule, trees
+from tests.patterns.samples import BEGINNING, SCHEMAS, bound_unless_empty, letter_rows, letter_rule, trees
 from tests.patterns.test_online import LATENESS_US, Record, pieces, records
 
 CONDITIONS = [
@@ -194,3 +197,145 @@ def test_units_of_arrival_pushed_together_lead_to_what_each_leads_to(
         assert together.status(name).rows_waiting == each_alone.status(name).rows_waiting
         assert together.status(name).counts == each_alone.status(name).counts
     assert together.finish() == each_alone.finish()
+
+
+def _zoned(name: str, x: str, right: float = 9.0) -> BoundRule:
+    """A track comes into a yard; whether it does is asked of this column."""
+    return bind(parse_rule(f"""
+rule: {name}
+version: 1
+title: sample
+severity: info
+zones: {{yard: {{source: cam-01, units: pixels, polygon: [[0, 0], [{right}, 0], [{right}, 9], [0, 9]]}}}}
+match: |
+  SELECT * FROM track_point MATCH_RECOGNIZE (
+    PARTITION BY track_id ORDER BY time, sequence
+    PATTERN (o i) DEFINE o AS NOT in_zone(o.{x}, o.y, 'yard'), i AS in_zone(i.{x}, i.y, 'yard'))
+"""), SCHEMAS)  # fmt: skip
+
+
+def _points(second: int, x: float) -> pa.Table:
+    """A row of a track."""
+    schema = SCHEMAS["track_point"]
+    values: dict[str, Any] = {**dict.fromkeys(schema.names, x), "track_id": 1, "frame": 0}
+    values["time"] = BEGINNING + timedelta(seconds=second)
+    envelope = {"sequence": second, "source": "cam-01", "station": "here", "subject": None, "type": "track_point"}
+    rows = {name: pa.array([value], schema.field(name).type) for name, value in values.items()}
+    return pa.table(rows | {name: [value] for name, value in envelope.items()})
+
+
+def _joined(group: RuleSetRun, bound: BoundRule, rows: list[pa.Table]) -> None:
+    """The rule joins the lane of the others, which have seen these rows, with what it remembers of them."""
+    other = RuleSetRun([bound], uses_kernel=True)
+    for each in rows:
+        other.push(each)
+    group.add(bound, other.state(bound.rule.rule))
+    assert len(group._lanes) == 1
+
+
+@pytest.mark.parametrize("is_joined", [False, True])
+def test_a_rule_that_leaves_takes_its_zones_and_columns_along(is_joined: bool) -> None:
+    stays, leaves, joins = _zoned("stays", "x"), _zoned("leaves", "x1"), _zoned("joins", "x2", 8)
+    group = RuleSetRun([stays, leaves], uses_kernel=True)
+    if is_joined:
+        group.push(_points(1, 20.0))
+    group.status("stays")
+    group.remove("leaves")
+    if is_joined:
+        _joined(group, joins, [_points(1, 20.0)])
+    found = merged([group.push(_points(second, x)) for second, x in ((2, 20.0), (3, 5.0))] + [group.finish()])
+    assert group.failures == {}
+    assert {name: len(outcome.matches) for name, outcome in found.items()} == dict.fromkeys(group.rules, 1)
+
+
+def test_a_rule_that_leaves_takes_the_columns_along_that_it_looked_back_at() -> None:
+    looks_back = _lettered("looks-back", "X AS letter <> PREV(letter)", "X")
+    leaves, joins = _lettered("leaves", "X AS n = 1, Y AS n = 2"), _lettered("joins", "X AS n = 1, Y AS n = 3")
+    rows = [letter_rows([{"us": n, "n": n, "letter": "q", "sequence": n}]) for n in range(1, 5)]
+    group = RuleSetRun([looks_back, leaves], uses_kernel=True)
+    group.push(rows[0])
+    group.remove("looks-back")
+    _joined(group, joins, rows[:1])
+    found = merged([*(group.push(each) for each in (rows[2], rows[3])), group.finish()])
+    assert group.failures == {}
+    assert {name: len(outcome.matches) for name, outcome in found.items()} == {"joins": 1}
+
+
+def test_what_rules_that_left_asked_is_asked_no_more_and_the_others_go_on_where_they_were() -> None:
+    stays, last = _zoned("stays", "x"), _zoned("last", "x", 7)
+    group = RuleSetRun([_zoned("first", "x", 6), stays], uses_kernel=True)
+    rows = [_points(1, 20.0)]
+    group.push(rows[0])
+    for at in range(3):
+        _joined(group, _zoned("comes-and-goes", "x", 8 + at / 10), rows)
+        group.remove("comes-and-goes")
+    group.remove("first")
+    _joined(group, last, rows)
+    (lane,) = group._lanes
+    assert [len(picture.zones) for picture in lane.layout.pictures] == [2]
+    assert len(lane.zones) == 2
+    found = merged([group.push(_points(2, 6.5)), group.finish()])
+    assert {name: len(outcome.matches) for name, outcome in found.items()} == {"stays": 1, "last": 1}
+
+
+def _lettered(name: str, define: str, pattern: str = "X Y") -> BoundRule:
+    rule = letter_rule(pattern, define, "X.n AS n")
+    return bind(rule.model_copy(update={"rule": name}), SCHEMAS)
+
+
+def test_a_rule_goes_on_beside_rules_that_have_seen_no_row() -> None:
+    group = RuleSetRun([_lettered("sits", "X AS n = 1, Y AS n = 2")], uses_kernel=True)
+    _joined(group, _lettered("joins", "X AS n = 1, Y AS n > 1"), [])
+    rows = [{"us": n, "n": n, "letter": "pqr"[n], "sequence": n} for n in (1, 2)]
+    found = merged([group.push(letter_rows(rows)), group.finish()])
+    assert group.failures == {}
+    assert {name: len(outcome.matches) for name, outcome in found.items()} == dict.fromkeys(group.rules, 1)
+
+
+def test_a_state_that_cannot_be_taken_in_leaves_the_lane_as_it_was() -> None:
+    sits, joins = _lettered("sits", "X AS n = 1, Y AS n = 2"), _lettered("joins", "X AS n = 1, Y AS n = 3")
+    rows = [letter_rows([{"us": n, "n": n, "letter": "q", "sequence": n}]) for n in (1, 2)]
+    group, other = (RuleSetRun([each], uses_kernel=True) for each in (sits, joins))
+    for each in (group, other):
+        each.push(rows[0])
+    saved = decoded(other.state("joins"))
+    del saved.header["emitter"]
+    with pytest.raises(KeyError):
+        group.add(joins, encoded(saved, None))
+    assert group.rules == ("sits",)
+    found = merged([group.push(rows[1]), group.finish()])
+    assert group.failures == {}
+    assert {name: len(outcome.matches) for name, outcome in found.items()} == {"sits": 1}
+
+
+def test_texts_that_nothing_remembers_are_forgotten_and_those_remembered_are_not() -> None:
+    pairs = bind(
+        letter_rule("A B", "A AS n = 1, B AS n = 2", "FIRST(A.letter) AS begins, LAST(B.letter) AS ends"), SCHEMAS
+    )
+    group, whole = RuleSetRun([pairs], uses_kernel=True), RuleRun(pairs)
+    steps, wanted = [], Outcome()
+    for part in range(6):
+        # The pairs of a key but the last, which begins and ends nothing before the last part: its first text is old.
+        numbers = [1 + at % 2 for at in range(1000)]
+        keys = [at // 2 % 3 for at in range(1000)]
+        if part in (0, 5):
+            keys[0], numbers[0] = 7, 1 if part == 0 else 2
+        rows = [
+            {"us": part * 1000 + at, "sequence": part * 1000 + at, "n": n, "key": key, "letter": f"plate-{part}-{at}"}
+            for at, (n, key) in enumerate(zip(numbers, keys, strict=True))
+        ]
+        steps.append(group.push(letter_rows(rows)))
+        wanted += whole.push(letter_rows(rows))
+        assert len(group._lanes[0].texts.known) < 4096
+    assert merged([*steps, group.finish()])["sample"] == wanted + whole.finish()
+
+
+@pytest.mark.parametrize("uses_kernel", [False, True])
+def test_an_event_that_is_late_for_several_arms_is_late_once(uses_kernel: bool) -> None:
+    arms = [f"SELECT n, key FROM letter WHERE n >= {least}" for least in (0, 1)]
+    rule = letter_rule("A B", "A AS n = 1, B AS n = 2", source=f"({' UNION ALL BY NAME '.join(arms)})")
+    group = RuleSetRun([bind(rule, SCHEMAS)], uses_kernel=uses_kernel)
+    group.push(letter_rows([{"us": 10, "n": 1}]))
+    outcome = group.push(letter_rows([{"us": 1, "n": 1, "sequence": 7}]))["sample"]
+    assert [event.sequence for event in outcome.late] == [7]
+    assert group.status("sample").counts.late == 1

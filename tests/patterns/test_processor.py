@@ -8,10 +8,8 @@ from typing import Any
 import psycopg
 import pytest
 
-from events import (
-    Producer,
-    StreamName,
-)
+from events import PlateRead, Producer, StreamName
+from patterns import parse_rule
 from patterns.errors import PatternError
 from patterns.processor import Processor, ProcessorLimits, deploy, schemas
 from store import Log, LogUnavailable, Transaction
@@ -289,3 +287,38 @@ def test_rules_may_use_every_column_of_envelope_and_type(make_log: MakeLog) -> N
     known = schemas(make_log().catalogue)["track_point"]
     assert known.names[:6] == ["station", "source", "type", "subject", "sequence", "time"]
     assert {"track_id", "x", "confidence"} <= set(known.names)
+
+
+PLATES = """
+rule: plates
+version: 1
+title: "{plate}"
+severity: info
+match: |
+  SELECT * FROM plate_read MATCH_RECOGNIZE (ORDER BY time, sequence MEASURES a.plate AS plate PATTERN (a))
+"""
+
+
+@pytest.mark.parametrize("first", ["plates", "points"])
+def test_what_is_believed_of_a_type_does_not_depend_on_rules_over_other_types(make_log: MakeLog, first: str) -> None:
+    found = []
+    for others in ([], [rule()]):
+        log = make_log()
+        add_video(log, "gate")
+        if first == "points":
+            say(log, "gate", point(7, 0, 20))
+        say(log, "gate", _plate(10.0 * 365 * 86400))
+        for second in (5, 9):
+            say(log, "gate", point(7, second, 20))
+            say(log, "gate", _plate(second))
+        end(log, "gate")
+        processor = Processor(log, STATION, [parse_rule(PLATES), *others])
+        processor.catch_up()
+        found.append(([each.title for each in situations(log) if each.rule == "plates"], processor.late["plates"]))
+    assert found[0] == found[1]
+
+
+def _plate(second: float) -> PlateRead:
+    rest: dict[str, Any] = {"candidates": None, "country": None, "region": None}
+    box = dict.fromkeys(("x1", "y1", "x2", "y2"), 1.0)
+    return PlateRead(time=T0 + timedelta(seconds=second), plate=f"at {second}", confidence=0.9, frame=1, **box, **rest)

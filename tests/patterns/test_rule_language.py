@@ -1,5 +1,6 @@
 """The language in rules: what registers can hold, in batch and online, with a restart between any two rows."""
 
+import re
 from typing import Any
 
 import pytest
@@ -115,3 +116,47 @@ def test_an_anchor_knows_the_first_row_however_long_ago_it_was() -> None:
     for part in (letters("ba").slice(0, 1), letters("ba").slice(1, 1)):
         found += run.push(part).matches
     assert [*found, *run.finish().matches] == []
+
+
+@pytest.mark.parametrize(
+    ("define", "far", "said"),
+    [
+        (
+            "A AS n < :far",
+            10**20,
+            "DEFINE: :far: an integer is at least -2^63 and below 2^63, got 100000000000000000000",
+        ),
+        ("A AS n IN :far", [1, -(10**20)], "DEFINE: :far: an integer is at least -2^63"),
+        ("A AS n = 1, B AS B.n < A.n + :far", 2**63, "DEFINE: :far: an integer is at least -2^63"),
+        ("A AS gap < :far", "200000000 d", "DEFINE: :far: a duration is below 2^63 microseconds (106751991 d), got 2"),
+    ],
+)
+def test_a_parameter_has_64_bits(define: str, far: Any, said: str) -> None:
+    rule = letter_rule("A B", define, more=f"params: {{far: {far}}}")
+    with pytest.raises(RuleError, match=re.escape(said)) as raised:
+        bind(rule, SCHEMAS)
+    assert raised.value.excerpt.endswith("^")
+
+
+def test_the_least_and_the_greatest_of_64_bits_are_parameters() -> None:
+    rule = letter_rule(
+        "A B", "A AS n IN :ends, B AS n < :most", more=f"params: {{ends: [{-(2**63)}, 1], most: {2**63 - 1}}}"
+    )
+    bind(rule, SCHEMAS)
+
+
+@pytest.mark.parametrize(
+    ("written", "said"),
+    [
+        ({"within": ":far", "more": "params: {far: 100000000 d}"}, "WITHIN: wanted at most 2^62 microseconds"),
+        (
+            {"more": "time: {lateness: 200000000 d}"},
+            "lateness: wanted at most 2^62 microseconds (53375995 d), got 200000000 d",
+        ),
+        ({"more": "time: {idle: 200000000 d}"}, "idle: wanted at most 2^62 microseconds"),
+        ({"more": "emit: {cooldown: 200000000 d}"}, "cooldown: wanted at most 2^62 microseconds"),
+    ],
+)
+def test_what_is_added_to_a_time_leaves_it_64_bits(written: Any, said: str) -> None:
+    with pytest.raises(RuleError, match=re.escape(said)):
+        bind(letter_rule("A B", **written), SCHEMAS)

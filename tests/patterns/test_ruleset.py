@@ -8,7 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from patterns import BoundRule, Match, Outcome, PatternError, RuleRun, RuleSetRun, SkipError, bind, match
+from patterns.binding.expressions import Const, Expr, walk
 from patterns.engine.compiling import compile_kernel
+from patterns.engine.packed import Assembly, Packed
+from patterns.engine.records import RowEvaluator
 from patterns.engine.ruleset import Outcomes, merged
 from tests.patterns.examples import examples
 from tests.patterns.samples import SCHEMAS, define_letters, letter_rows, letter_rule, letters
@@ -186,3 +189,41 @@ def test_the_cost_of_rules_that_run_together_is_theirs_who_cause_it() -> None:
     # A thousand partial matches a row against none: the slow one is named whatever the machine is doing.
     assert spent_s["sample"] > 10 * max(others) > 0
     assert max(others) < 3 * min(others)
+
+
+@pytest.mark.parametrize("method", ["truth", "column"])
+def test_what_one_rule_asks_of_a_row_fails_that_rule_alone(monkeypatch: pytest.MonkeyPatch, method: str) -> None:
+    original = getattr(RowEvaluator, method)
+
+    def overflowing(self: RowEvaluator, expr: Expr) -> Any:
+        if any(isinstance(part, Const) and part.value == 77 for part in walk(expr)):
+            raise OverflowError("too large")
+        return original(self, expr)
+
+    monkeypatch.setattr(RowEvaluator, method, overflowing)
+    good = letter_rule("A B", "A AS n = 1, B AS n = 2").model_copy(update={"rule": "good"})
+    bad = letter_rule("A B", "A AS n = 1, B AS n + 77 > A.n AND n <> 77").model_copy(update={"rule": "bad"})
+    group = RuleSetRun([bind(each, SCHEMAS) for each in (good, bad)], uses_kernel=True)
+    found = merged([group.push(letter_rows([{"us": 1, "n": 1}, {"us": 2, "n": 2}])), group.finish()])
+    assert len(found["good"].matches) == 1
+    assert {name: repr(error) for name, error in group.failures.items()} == {"bad": "OverflowError('too large')"}
+
+
+def test_a_rule_of_which_the_kernel_has_no_tables_runs_without_it(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    original = Assembly._add
+
+    def overflowing(self: Assembly, number: int, rule: Packed, is_strict: bool) -> None:
+        if rule.bound.rule.rule == "wide":
+            raise OverflowError("too large")
+        original(self, number, rule, is_strict)
+
+    monkeypatch.setattr(Assembly, "_add", overflowing)
+    rule = letter_rule("A B", "A AS n = 1, B AS n = 2")
+    bounds = [bind(rule.model_copy(update={"rule": name}), SCHEMAS) for name in ("good", "wide")]
+    group = RuleSetRun(bounds, uses_kernel=True)
+    found = merged([group.push(letter_rows([{"us": 1, "n": 1}, {"us": 2, "n": 2}])), group.finish()])
+    assert [len(found[name].matches) for name in ("good", "wide")] == [1, 1]
+    assert "rule wide runs without the kernel: too large" in caplog.text
+    assert not group.failures

@@ -26,6 +26,7 @@ from patterns.processor import (
     stored_mark,
     stored_state,
 )
+from patterns.processor.members import Pace
 from store import Checkpoint, Log, LogUnavailable, Transaction
 from tests.conftest import MakeLog
 from tests.patterns.walkers import (
@@ -530,3 +531,109 @@ def test_a_source_that_is_not_calibrated_is_left_out_and_named_until_it_is(
     assert len(situations(log)) == 24
     (report,) = reports(log, STATION)
     assert report.uncalibrated == {}
+
+
+def _breaks_for(name: str, original: Any) -> Any:
+    """The method, but it raises for this rule."""
+
+    def method(self: RuleSetRun, *arguments: Any) -> Any:
+        if name in arguments:
+            raise IndexError("out of range")
+        return original(self, *arguments)
+
+    return method
+
+
+def test_a_rule_whose_state_cannot_be_had_is_set_aside_with_what_it_found_and_the_others_are_saved(
+    log: Log, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    walkers(log)
+    deployed(log, rule("breaks"), rule())
+    monkeypatch.setattr(RuleSetRun, "state", _breaks_for("breaks/1", RuleSetRun.state))
+    processor = Processor(log, STATION, limits=saved_often(5))
+    processor.catch_up()
+    (gone,) = said(log, "rule_retired")
+    assert (gone.rule, gone.why) == ("breaks", "failed")
+    assert gone.reason.endswith(": IndexError: out of range")
+    assert list(processor.failures) == ["breaks"]
+    assert [each.rule for each in situations(log)].count("enters") == 8
+    mark = stored_mark(log, STATION, "enters", 1)
+    assert mark is not None
+    assert mark.saved == processor.position
+
+
+def test_a_rule_that_cannot_join_the_others_is_set_aside_and_they_go_on(
+    log: Log, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    walkers(log)
+    deployed(log, rule(), after=0)
+    processor = Processor(log, STATION)
+    processor.catch_up()
+    deployed(log, rule("breaks"), after=0)
+    with monkeypatch.context() as broken:
+        broken.setattr(RuleSetRun, "state", _breaks_for("breaks/1", RuleSetRun.state))
+        processor.catch_up()
+    assert list(processor.failures) == ["breaks"]
+    (gone,) = said(log, "rule_retired")
+    assert (gone.rule, gone.why) == ("breaks", "failed")
+    deployed(log, rule("later"), after=0)
+    processor.catch_up()
+    assert [service.rule for service, _ in processor.rules] == ["enters", "later"]
+
+
+def test_a_saved_state_that_nothing_can_read_is_not_used_and_nothing_is_told_twice(
+    log: Log, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    walkers(log)
+    deployed(log, rule(), after=0)
+    Processor(log, STATION).catch_up()
+    original = RuleSetRun.add
+
+    def add(self: RuleSetRun, bound: Any, state: bytes | None, *more: Any) -> None:
+        original(self, bound, state if state is None else [][0], *more)
+
+    monkeypatch.setattr(RuleSetRun, "add", add)
+    processor = Processor(log, STATION)
+    monkeypatch.setattr(RuleSetRun, "add", original)
+    assert "is run again from position 0, and nothing is appended twice: IndexError" in caplog.text
+    assert processor.catch_up() == 0
+    assert len(situations(log)) == 8
+
+
+def test_what_a_rule_has_spent_does_not_go_back_when_it_joins_the_others(
+    log: Log, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    walkers(log)
+    deployed(log, rule(), after=0)
+    spent: dict[int, list[float]] = {}
+    original = Pace.note
+
+    def note(self: Pace, spent_s: float, *more: Any) -> None:
+        original(self, spent_s, *more)
+        spent.setdefault(id(self), []).append(spent_s)
+        assert self.event_us >= 0
+
+    monkeypatch.setattr(Pace, "note", note)
+    processor = Processor(log, STATION, limits=ProcessorLimits(segments=5, window_events=1))
+    processor.catch_up()
+    deployed(log, rule("later"), after=0)
+    processor.catch_up()
+    walkers(log, "street")
+    processor.catch_up()
+    assert len(spent) == 2
+    assert all(each == sorted(each) and len(each) > 3 for each in spent.values())
+
+
+def test_a_rule_that_cannot_begin_is_retired_and_the_others_run(log: Log, monkeypatch: pytest.MonkeyPatch) -> None:
+    walkers(log)
+    deployed(log, rule("breaks"), rule(), after=0)
+    with monkeypatch.context() as broken:
+        broken.setattr(RuleSetRun, "add", _breaks_for("breaks/1", RuleSetRun.add))
+        processor = Processor(log, STATION)
+    assert processor.catch_up() == 8
+    (gone,) = said(log, "rule_retired")
+    assert (gone.rule, gone.why) == ("breaks", "failed")
+    assert {each.rule for each in situations(log)} == {"enters"}
+    again = Processor(log, STATION)
+    again.catch_up()
+    assert [service.rule for service, _ in again.rules] == ["enters"]

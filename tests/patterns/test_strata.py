@@ -6,11 +6,12 @@ import pytest
 
 from patterns import Rule, RuleError, bind, parse_rule, run_tests
 from patterns.binding.strata import in_strata, situation_schema, strata, with_situations
-from patterns.processor import Processor, deploy
+from patterns.processor import Processor, ProcessorLimits, deploy, readable_by, situation_of, stored_mark
 from store import Log
 from tests.conftest import MakeLog
 from tests.patterns.samples import SCHEMAS, letter_rule
-from tests.patterns.walkers import STATION, T0, add_video, end, rule, situations, walk, walkers
+from tests.patterns.walkers import STATION, T0, add_video, end, point, rule, say, situations, walk, walkers
+from vian.backtesting import Span, backtested
 
 TWICE = """
 rule: twice
@@ -110,6 +111,55 @@ def test_what_a_rule_over_situations_finds_does_not_depend_on_which_others_run(m
         found.append([each.measures for each in situations(log) if each.rule == "twice"])
     assert len(found[0]) > 1
     assert found[0] == found[1]
+
+
+TURNS = TWICE.replace("rule: twice", "rule: turns").replace("source, track_id", "track_id")
+
+
+@pytest.mark.parametrize("follows", [True, False], ids=["following", "at once"])
+def test_a_rule_over_situations_goes_on_while_a_source_of_those_below_lives(log: Log, follows: bool) -> None:
+    low, high = rule(partition="track_id"), parse_rule(TURNS)
+    deploy(log, STATION, [low, high], {"turns": TURNS}, T0)
+    processor = Processor(log, STATION)
+
+    def come() -> None:
+        if follows:
+            processor.catch_up()
+
+    for source in ("gate", "side"):
+        add_video(log, source)
+    say(log, "side", point(9, 0, 20))
+    say(log, "gate", point(7, 0, 20), point(7, 1, 80), point(7, 2, 20))
+    say(log, "gate", point(7, 4, 20))
+    say(log, "side", point(9, 4, 20))
+    come()
+    assert len(situations(log)) == follows
+    end(log, "side")
+    come()
+    say(log, "gate", point(7, 5, 80), point(7, 7, 20))
+    come()
+    end(log, "gate")
+    processor.catch_up()
+
+    stored = [each for each in situations(log) if each.rule == "turns"]
+    assert [json.loads(each.measures)["first_at"] for each in stored] == ["2026-01-01T10:00:01+00:00"]
+    bound = bind(high, readable_by(log, high))
+    found = backtested(log, bound, Span(), ProcessorLimits(), lambda position: None)
+    assert [situation_of(each) for each in found.matches] == stored
+
+
+def test_that_a_rule_over_situations_was_finished_is_remembered_where_it_found_nothing(log: Log) -> None:
+    low, high = rule(), parse_rule(TWICE)
+    add_video(log, "gate")
+    say(log, "gate", point(7, 0, 20), point(7, 1, 80))
+    end(log, "gate")
+    Processor(log, STATION, [low, high]).catch_up()
+    assert [each.rule for each in situations(log)] == ["enters"]
+    mark = stored_mark(log, STATION, "twice", 1)
+    assert mark is not None
+    assert (mark.idles, mark.report["rows_waiting"], mark.report["watermark"]) == (1, 0, None)
+    Processor(log, STATION, [low, high]).catch_up()
+    assert stored_mark(log, STATION, "twice", 1) == mark
 
 
 def test_a_read_of_all_situations_sees_neither_its_own_nor_those_that_rest_on_situations(log: Log) -> None:
