@@ -53,6 +53,7 @@ _STRICT: tuple[type[Any], ...] = (
     exp.Add, exp.Sub, exp.Mul, exp.Div, exp.IntDiv, exp.Mod, *_COMPARED,
 )  # fmt: skip
 _PLAIN = frozenset((*WHOLE, *TIMES, "DOUBLE", "FLOAT", "VARCHAR", "DATE", "TIME", "BOOLEAN"))
+_LAZY = ("COALESCE", "IFNULL")
 _NUMBER_NAME = "match_number"
 
 
@@ -491,7 +492,8 @@ class _Builder:
         known = plain(node, kinds, given)
         if known is None:
             return self.asked(node)
-        return _applied(known, [self.compiled(part) for part in parts], self.asked(node))
+        applied = _first_known if function_name(node) in _LAZY else _applied
+        return applied(known, [self.compiled(part) for part in parts], self.asked(node))
 
     def asked(self, node: exp.Expr) -> Guard:
         """What DuckDB says of the node, for these values."""
@@ -582,6 +584,23 @@ def _comparison(compare: Callable[[Any, Any], bool], left: Guard, right: Guard, 
         return ask(values, registers) if answer is None else answer
 
     return holds
+
+
+def _first_known(known: Plain, below: Sequence[Guard], ask: Guard) -> Guard:
+    """The first value that is not NULL, as the operator makes it; what comes after it may fail."""
+
+    def chosen(values: Sequence[Any], registers: Sequence[Any]) -> Any:
+        found: list[Any] = [None] * len(below)
+        for at, part in enumerate(below):
+            found[at] = part(values, registers)
+            if found[at] is not None:
+                break
+        try:
+            return known.operator(*found)
+        except (ArithmeticError, ValueError, NotAlike):
+            return ask(values, registers)
+
+    return chosen
 
 
 def _applied(known: Plain, below: Sequence[Guard], ask: Guard) -> Guard:

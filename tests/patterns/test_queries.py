@@ -77,7 +77,7 @@ BIG = pa.table({"id": [1, 2], "i": pa.array([2**24, 2**24 + 1], pa.int32()), "f"
     [
         ("B.i = A.f", True), ("B.i > A.f", False), ("B.big = A.d", True), ("B.big <> A.d", False),
         ("SUM(big) = 2 * A.d", True), ("B.big + 0::HUGEINT = A.d", True), ("B.big = A.f * A.f * 32", True),
-        ("B.i * 2 > A.f * 2", False), ("B.d < 1.5 AND A.d > 3", True),
+        ("coalesce(B.big, A.least * B.i) = B.big", True), ("B.i * 2 > A.f * 2", False), ("B.d < 1.5 AND A.d > 3", True),
     ],
 )  # fmt: skip
 def test_a_whole_number_is_rounded_before_it_is_compared_with_a_binary_fraction(condition: str, holds: bool) -> None:
