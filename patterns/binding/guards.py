@@ -24,7 +24,7 @@ from patterns.binding.expressions import (
     Value,
 )
 from patterns.binding.registers import UNSET, at_offset, wrapped
-from patterns.scene.places import Places
+from patterns.scene.places import Places, of_source
 
 Guard = Callable[[Sequence[Any], Sequence[Any]], Any]
 """(values of the row at hand, registers) -> the value; None is NULL."""
@@ -172,7 +172,7 @@ def _case(below: list[Guard]) -> Guard:
 def _in_zone(expr: InZone, below: list[Guard], places: Places) -> Guard:
     def in_zone(row: Sequence[Any], registers: Sequence[Any]) -> Any:
         source, *point = [part(row, registers) for part in below]
-        zone = next((each for each in places.zones_named(expr.zone) if each.source == source), None)
+        zone = of_source(places.zones_named(expr.zone), source)
         if zone is None:
             return False
         if not _all_finite(point) or not places.is_known(zone):
@@ -185,7 +185,7 @@ def _in_zone(expr: InZone, below: list[Guard], places: Places) -> Guard:
 def _crosses(expr: Crosses, below: list[Guard], places: Places) -> Guard:
     def crosses(row: Sequence[Any], registers: Sequence[Any]) -> Any:
         source, *step = [part(row, registers) for part in below]
-        line = next((each for each in places.lines_named(expr.line) if each.source == source), None)
+        line = of_source(places.lines_named(expr.line), source)
         if line is None:
             return False
         if not _all_finite(step) or not places.is_known(line):

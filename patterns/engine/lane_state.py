@@ -265,7 +265,7 @@ def _admit(lane: Lane, name: str, packed: Packed, saved: Saved) -> None:
     try:
         lane.admit(name, packed)
         _insert(lane, len(lane.members) - 1, saved)
-    except Exception:
+    except Exception:  # Whatever it is, the lane goes on without the rule; the caller is told.
         lane.drop(name)
         raise
 

@@ -137,6 +137,7 @@ class RuleRun:
         self._waiting_min_us: int | None = None
         self._emitter = Emitter(rule.emit)
         self._reads_situations = SITUATION in bound.types
+        self._rules_read = {each.situation_of for each in bound.inputs if each.type == SITUATION}
         self._attach()
 
     @property
@@ -317,10 +318,9 @@ class RuleRun:
 
     def _read_of(self, situations: pa.Table) -> pa.Table:
         """Those of the rules that are read: what a rule means does not depend on which others run beside it."""
-        rules = {each.situation_of for each in self.bound.inputs if each.type == SITUATION}
-        if None in rules or not situations.num_rows:
+        if None in self._rules_read or not situations.num_rows:
             return situations
-        return situations.filter(pc.is_in(situations.column("rule"), pa.array(list(rules))))
+        return situations.filter(pc.is_in(situations.column("rule"), pa.array(list(self._rules_read))))
 
     def _take(self, table: pa.Table) -> tuple[EventRef, ...]:
         """Holds the rows that are in time; the others."""

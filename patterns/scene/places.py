@@ -6,8 +6,9 @@ that is not calibrated nothing is known in metres.
 Pixels have their origin at the top left, x to the right and y down; columns hold finite pixels.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,12 @@ from patterns.scene.site import Site
 
 Points = NDArray[np.float64]
 Flags = NDArray[np.bool_]
+Shape = TypeVar("Shape", Zone, Line)
+
+
+def of_source(shapes: Sequence[Shape], source: object) -> Shape | None:
+    """The one of the shapes of one name that the source has."""
+    return next((each for each in shapes if each.source == source), None)
 
 
 @dataclass(frozen=True, slots=True)

@@ -34,6 +34,7 @@ from patterns.binding.expressions import (
 )
 from patterns.binding.guards import compile_guard
 from patterns.scene.geometry import Line, Zone, crosses_line
+from patterns.scene.places import of_source
 from patterns.tools.telling import told, told_duration, told_number, told_value
 
 NEAR = {"px": 100.0, "m": 5.0}
@@ -227,7 +228,7 @@ class _Asked:
         places = self.judge.evaluator.places
         source, x, y = (self.value(part) for part in expr.operands)
         known = places.zones_named(expr.zone)
-        zone = next((each for each in known if each.source == source), None)
+        zone = of_source(known, source)
         if zone is None:
             return _elsewhere("zone", expr.zone, known, source)
         if not places.is_known(zone):
@@ -247,7 +248,7 @@ class _Asked:
         places = self.judge.evaluator.places
         source, *step = (self.value(part) for part in expr.operands)
         known = places.lines_named(expr.line)
-        line = next((each for each in known if each.source == source), None)
+        line = of_source(known, source)
         if line is None:
             return _elsewhere("line", expr.line, known, source)
         if not places.is_known(line):

@@ -142,7 +142,7 @@ def test_the_least_and_the_greatest_of_64_bits_are_parameters() -> None:
     rule = letter_rule(
         "A B", "A AS n IN :ends, B AS n < :most", more=f"params: {{ends: [{-(2**63)}, 1], most: {2**63 - 1}}}"
     )
-    bind(rule, SCHEMAS)
+    assert bind(rule, SCHEMAS).variables == ("A", "B")
 
 
 @pytest.mark.parametrize(
