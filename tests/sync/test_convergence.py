@@ -221,7 +221,7 @@ def test_a_running_daemon_outlives_its_own_database(
         with station_log.connection() as connection:
             connection.execute("reset role")
             connection.execute(
-                "select pg_terminate_backend(pid) from pg_stat_activity "
+                "select pg_terminate_backend(pid, 10000) from pg_stat_activity "
                 "where datname = current_database() and pid <> pg_backend_pid()"
             )
         before = len(running.steps)

@@ -25,7 +25,7 @@ def test_it_is_free_again_after_the_block_and_after_an_error(log: Log) -> None:
 
 def test_the_block_goes_on_when_the_database_drops_the_connection(log: Log, server: Server) -> None:
     with exclusively(log, "source gate"):
-        server.execute("select pg_terminate_backend(pid) from pg_locks where locktype = 'advisory'")
+        server.execute("select pg_terminate_backend(pid, 10000) from pg_locks where locktype = 'advisory'")
     assert log.head() == 0
 
 

@@ -412,7 +412,7 @@ def cut_off(log: Log, server: Server, frame: int = 30) -> Callable[[int, int | N
     def on_progress(done: int, _: int | None) -> None:
         if done == frame:
             server.execute(f"alter database {name} allow_connections false")
-            server.execute(f"select pg_terminate_backend(pid) from pg_stat_activity where datname = '{name}'")
+            server.execute(f"select pg_terminate_backend(pid, 10000) from pg_stat_activity where datname = '{name}'")
 
     return on_progress
 
