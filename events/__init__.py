@@ -51,7 +51,16 @@ from events.situations import (
     SituationDetected,
     SituationShadowed,
 )
-from events.stations import SyncPlanned
+from events.stations import (
+    CheckpointCountersigned,
+    QueryAnswered,
+    RequestRefused,
+    SegmentsPruned,
+    SegmentsRepaired,
+    StationEnrolled,
+    StationRevoked,
+    SyncPlanned,
+)
 from events.work import ProcessFailed, ProcessFinished, ProcessProgressed, ProcessStarted
 
 __all__ = [
@@ -62,6 +71,7 @@ __all__ = [
     "AtDoor",
     "CameraCalibrated",
     "Catalogue",
+    "CheckpointCountersigned",
     "CheckpointSigned",
     "CorruptSegment",
     "Draft",
@@ -90,12 +100,16 @@ __all__ = [
     "ProcessProgressed",
     "ProcessStarted",
     "Producer",
+    "QueryAnswered",
+    "RequestRefused",
     "RuleDeployed",
     "RuleDeployedV1",
     "RuleMissed",
     "RuleRetired",
     "SceneChanged",
     "Segment",
+    "SegmentsPruned",
+    "SegmentsRepaired",
     "Sequence",
     "Share32",
     "SituationDetected",
@@ -103,6 +117,8 @@ __all__ = [
     "Source",
     "StageDeployed",
     "Station",
+    "StationEnrolled",
+    "StationRevoked",
     "StreamName",
     "SyncPlanned",
     "Tally",

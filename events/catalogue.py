@@ -22,7 +22,16 @@ from events.plates import PlateRead
 from events.proof import CheckpointSigned, LossRecorded
 from events.relations import GroupSeen, Occupancy, PairDistance, StageDeployed, Tally
 from events.situations import RuleDeployed, RuleMissed, RuleRetired, SituationDetected, SituationShadowed
-from events.stations import SyncPlanned
+from events.stations import (
+    CheckpointCountersigned,
+    QueryAnswered,
+    RequestRefused,
+    SegmentsPruned,
+    SegmentsRepaired,
+    StationEnrolled,
+    StationRevoked,
+    SyncPlanned,
+)
 from events.work import ProcessFailed, ProcessFinished, ProcessProgressed, ProcessStarted
 
 SHIPPED: tuple[type[EventType], ...] = (
@@ -52,6 +61,13 @@ SHIPPED: tuple[type[EventType], ...] = (
     SituationShadowed,
     RuleRetired,
     RuleMissed,
+    CheckpointCountersigned,
+    QueryAnswered,
+    RequestRefused,
+    SegmentsPruned,
+    SegmentsRepaired,
+    StationEnrolled,
+    StationRevoked,
 )
 ENTRY_POINT_GROUP = "vian.events"
 

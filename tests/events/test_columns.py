@@ -255,6 +255,10 @@ def test_an_optional_field_of_a_shipped_type_is_a_column_that_may_be_null() -> N
         "camera_calibrated.rms_m",
         *(f"scene_changed.{name}" for name in ("dx", "dy")),
         "rule_deployed.after_position",
+        "station_enrolled.address",
+        *(f"station_revoked.{name}" for name in ("key_id", "reason")),
+        *(f"request_refused.{name}" for name in ("claimed", "address")),
+        *(f"query_answered.{name}" for name in ("person", "reason")),
         *(f"rule_missed.{name}" for name in ("stream", "first_sequence", "last_sequence", "partition")),
     }
     assert TrackEnded.subject_field == "track_id"
