@@ -310,7 +310,7 @@ class Plan(BaseModel):
         """The plan as it is set at a time: `from: now` has become one.
 
         An entry that stands in the present plan with the same words keeps the time that it got then, so that
-        setting a plan again changes nothing.
+        setting a plan again changes nothing. A plan that does not say whether it is paused stays as it is.
 
         Raises:
             PlanError: A `from` lies ahead of the station's clock.
@@ -323,13 +323,17 @@ class Plan(BaseModel):
                     f"entries[{number}] ({entry.stream}): from {time_text(since)} lies ahead of this station's clock, "
                     f"which says {time_text(now)}. Next: write from: now, or correct the time or the clock"
                 )
-        return self.model_copy(update={"entries": entries})
+        kept = {} if present is None or "paused" in self.model_fields_set else {"paused": present.paused}
+        return self.model_copy(update={"entries": entries, **kept})
+
+    def said(self) -> dict[str, Any]:
+        """The plan as plain data: what differs from the defaults, and of each entry from and priority in any case."""
+        data = self.model_dump(mode="json", by_alias=True, exclude_defaults=True, exclude={"entries"})
+        return data | {"entries": [_said(entry) for entry in self.entries]}
 
     def canonical(self) -> str:
-        """The plan in its canonical form: JSON, keys sorted, each entry with from, priority and what else it says."""
-        data = self.model_dump(mode="json", by_alias=True, exclude_defaults=True, exclude={"entries"})
-        data["entries"] = [_canonical(entry) for entry in self.entries]
-        return json.dumps(data, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
+        """The plan in its canonical form: what it says as JSON, keys sorted, no spaces."""
+        return json.dumps(self.said(), sort_keys=True, separators=(",", ":"), ensure_ascii=False)
 
     @property
     def plan_hash(self) -> bytes:
@@ -374,7 +378,7 @@ def _resolved(entry: Entry, now: datetime, known: datetime | None) -> Entry:
     return entry.model_copy(update={"now": known or now.astimezone(UTC)})
 
 
-def _canonical(entry: Entry) -> dict[str, Any]:
+def _said(entry: Entry) -> dict[str, Any]:
     data = entry.model_dump(mode="json", by_alias=True, exclude_defaults=True)
     if data.get("order") == _order_of(entry.priority):
         del data["order"]

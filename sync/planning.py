@@ -5,16 +5,18 @@ unless it says what the newest says already; nothing else remembers it. A daemon
 step. A plan that this program cannot read is an error, never another plan.
 """
 
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
 
 from events import EventError, Producer, Station, StreamName, SyncPlanned, batch_of, decode, encode, events_of
-from store import Log, StreamHead
+from store import Log, SequenceConflict, StreamHead
 from sync.errors import PlanError
 from sync.plan import Plan
 
 PRODUCER = "sync"
 PRODUCER_VERSION = "1"
+_ATTEMPTS = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,11 +79,18 @@ def set_plan(log: Log, station: Station, plan: Plan, central: str, now: datetime
 
     Raises:
         PlanError: It names no stream of this station, or a `from` lies ahead of the clock.
-        SequenceConflict: Another set a plan at the same moment; look again.
+        SequenceConflict: Others set plans again and again at the same moment.
         LogUnavailable: The database is away.
     """
     if not any(entry.fits_station(station) for entry in plan.entries):
         raise PlanError(f"the plan names no stream of station {station}; write */... or {station}/... in an entry")
+    for _ in range(_ATTEMPTS - 1):
+        with suppress(SequenceConflict):
+            return _set(log, station, plan, central, now)
+    return _set(log, station, plan, central, now)
+
+
+def _set(log: Log, station: Station, plan: Plan, central: str, now: datetime) -> Planned:
     stream = plan_stream(station)
     head = log.stream_head(stream)
     present = planned_in(log, station)
