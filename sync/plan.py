@@ -34,6 +34,7 @@ from pydantic import (
 
 from events import InvalidName, Source, Station, StreamName
 from sync.errors import PlanError
+from sync.filters import parse as parse_condition
 from sync.plan_files import FILE_BYTES_MAX, document
 from sync.plan_values import duration, no_text, rate, time_text, truth, whole_seconds
 
@@ -156,6 +157,13 @@ class Entry(Pattern):
     """Fields that are null in what is sent."""
     sends: Annotated[bool, BeforeValidator(truth), Field(alias="send")] = True
     """Whether its streams are sent at all."""
+
+    @field_validator("where")
+    @classmethod
+    def _is_condition(cls, text: str | None) -> str | None:
+        if text is not None:
+            parse_condition(text)
+        return text
 
     @model_validator(mode="after")
     def _is_whole(self) -> Self:
