@@ -198,7 +198,12 @@ class Entry(Pattern):
     @property
     def filter_hash(self) -> str:
         """What names the filter in the names of derived streams: 8 hexadecimal digits; the pattern is no part of it."""
-        return _filter_hash(self.where, tuple(sorted(set(self.leave_out))), self.since)
+        return self.filter_digest.hex()[:HASH_DIGITS]
+
+    @property
+    def filter_digest(self) -> bytes:
+        """SHA-256 of the filter's canonical form: from, leave_out, where."""
+        return _filter_digest(self.where, tuple(sorted(set(self.leave_out))), self.since)
 
 
 class GiveUp(Pattern):
@@ -397,10 +402,10 @@ def _said(entry: Entry) -> dict[str, Any]:
 
 
 @lru_cache(maxsize=4096)
-def _filter_hash(where: str | None, leave_out: tuple[str, ...], since: datetime | None) -> str:
+def _filter_digest(where: str | None, leave_out: tuple[str, ...], since: datetime | None) -> bytes:
     data = {"from": "beginning" if since is None else time_text(since), "leave_out": leave_out, "where": where}
     text = json.dumps(data, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
-    return hashlib.sha256(text.encode()).hexdigest()[:HASH_DIGITS]
+    return hashlib.sha256(text.encode()).digest()
 
 
 def _reason(name: str, error: ValidationError, lines: Mapping[tuple[Hashable, ...], int]) -> str:
