@@ -215,7 +215,7 @@ def _next_without_privilege(error: psycopg.Error, dsn: str) -> str:
         owner = _parameters(dsn).get("user", "OWNER")
         return (
             "these roles came with another database of this server; as a superuser: "
-            f'grant vian_writer, vian_reader, vian_archiver to "{owner}" with admin option'
+            f'grant vian_writer, vian_reader, vian_archiver, vian_pruner to "{owner}" with admin option'
         )
     return "connect once as a role that may create tables and roles; an account that only reads is for psql"
 

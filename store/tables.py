@@ -76,7 +76,7 @@ segments = sa.Table(
     sa.Column("producer", sa.Text, nullable=False, comment="extractor that said it"),
     sa.Column("producer_version", sa.Text, nullable=False, comment="version of the extractor"),
     sa.Column("configuration_hash", pg.BYTEA, nullable=False, comment="SHA-256 of the extractor's configuration"),
-    sa.Column("payload", pg.BYTEA, nullable=False, comment="zstd of an Arrow record batch"),
+    sa.Column("payload", pg.BYTEA, comment="zstd of an Arrow record batch; null: it left the disk"),
     sa.Column("payload_hash", pg.BYTEA, nullable=False, comment="SHA-256 of the payload"),
     sa.Column("chain_hash", pg.BYTEA, nullable=False, comment="SHA-256 of previous chain hash, header, payload hash"),
     sa.UniqueConstraint("stream_id", "first_sequence", name="segments_place"),
@@ -126,6 +126,13 @@ archive_head = sa.Table(
     sa.Column("pending_path", sa.Text, comment="file that a sealing is writing, or was when it was killed"),
     sa.Column("pending_position", sa.BigInteger, comment="last position of that file"),
     sa.Column("is_removing", sa.Boolean, nullable=False, comment="true only inside the function seal_segments"),
+    sa.Column(
+        "is_rewriting",
+        sa.Boolean,
+        nullable=False,
+        server_default=sa.text("false"),
+        comment="true only inside the functions that take payloads off the disk and put them back",
+    ),
     comment="One row: where the archive is, and how far the log is sealed.",
 )
 

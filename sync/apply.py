@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from datetime import datetime
 from typing import Protocol
 
-from events import CorruptSegment, Draft, Segment, Station, StreamName, UnknownType, chain, decode
+from events import CorruptSegment, Draft, PayloadGone, Segment, Station, StreamName, UnknownType, chain, decode
 from store import ChainBroken, Log, SequenceConflict
 from store.writing import Appended
 from sync.errors import ProtocolMismatch, Refusal, WireError
@@ -116,7 +116,7 @@ def apply_2(
             been stored.
     """
     records = _records(body, body_bytes_max, segments_max)
-    check(log, caller.station, records)
+    check(log, caller.station, records, may_lack_payload=True)
     still_allowed()
     appended = store_records(log, records)
     duplicates = sum(one.was_there for one in appended)
@@ -165,7 +165,7 @@ def check_owner(station: Station, stream: StreamName, epoch: int, first_sequence
         )
 
 
-def check(log: Log, station: Station, records: Sequence[Record]) -> None:
+def check(log: Log, station: Station, records: Sequence[Record], *, may_lack_payload: bool) -> None:
     """Nothing, if each segment is the station's own and is what its header says.
 
     Raises:
@@ -175,17 +175,17 @@ def check(log: Log, station: Station, records: Sequence[Record]) -> None:
         segment = record.segment
         header = segment.header
         check_owner(station, header.stream, header.epoch, header.first_sequence)
-        if segment.payload:
-            _check_payload_hash(segment)
-        is_chained = chain(record.previous, header, segment.payload_hash) == segment.chain_hash
+        if may_lack_payload and not segment.has_payload:
+            continue
+        _check_payload_hash(segment)
         try:
-            if segment.payload:
-                decode(segment, log.catalogue, as_stored=True)
+            decode(segment, log.catalogue, as_stored=True)
         except UnknownType:
             pass  # A newer station's: kept, shipped on and verified; whoever reads it is told.
-        except CorruptSegment as error:
+        except (CorruptSegment, PayloadGone) as error:
             # The chain tells a lie of the station's from what was damaged on the way.
-            code = "false_header" if is_chained else "bad_header"
+            is_meant = chain(record.previous, header, segment.payload_hash) == segment.chain_hash
+            code = "false_header" if is_meant else "bad_header"
             raise corrupt(segment, code, str(error), "a payload that holds what the header says") from error
 
 

@@ -9,7 +9,7 @@ from datetime import datetime
 
 from events import Segment, Station, StreamName
 from store import Log
-from sync.apply import check, check_owner, check_station, corrupt, no_hello, no_segments, store_records, wrong_version
+from sync.apply import check, check_owner, check_station, no_hello, no_segments, store_records, wrong_version
 from sync.errors import ProtocolMismatch, WireError
 from sync.held import held_of, runs_of
 from sync.runs import Run, StreamKey
@@ -65,10 +65,7 @@ def apply(log: Log, station: Station, body: bytes, *, body_bytes_max: int, segme
     for segment in segments:
         check_owner(station, segment.stream, segment.header.epoch, segment.header.first_sequence)
     records = _chained(log, segments)
-    for segment in segments:
-        if not segment.payload:
-            raise corrupt(segment, "false_header", "a payload of 0 bytes", "a payload that holds what the header says")
-    check(log, station, records)
+    check(log, station, records, may_lack_payload=False)
     appended = store_records(log, records)
     duplicates = sum(one.was_there for one in appended)
     held = runs_of(log, dict.fromkeys(StreamKey(s.stream, s.header.epoch) for s in segments))
