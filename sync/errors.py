@@ -3,6 +3,7 @@
 SyncError
 ├── WireError            bytes or JSON that are not this protocol's
 ├── PlanError            a plan that cannot be used
+├── FilterFailed         a plan's condition cannot be worked out for an event
 ├── GrantError           a token or a table of tokens that cannot be used
 ├── BadSignature         a request that is not signed as it must be
 ├── Refusal              central: a request that is refused, with the answer to give
@@ -35,6 +36,10 @@ class WireError(SyncError):
 
 class PlanError(SyncError):
     """A plan that cannot be used."""
+
+
+class FilterFailed(SyncError):
+    """A plan's condition cannot be worked out for an event: a number that overflows, most often."""
 
 
 class GrantError(SyncError):
