@@ -30,7 +30,7 @@ class Pace:
 class Step:
     """What one step did."""
 
-    did: Literal["planned", "hello", "sent", "nothing", "stopped", "failed"]
+    did: Literal["planned", "hello", "sent", "nothing", "doubted", "stopped", "failed"]
     sleep_s: float = 0.0
     """How long nothing needs to be done, unless the log grows."""
     segments: int = 0
