@@ -54,7 +54,7 @@ class Chore(Protocol):
 class Step:
     """What one step did."""
 
-    did: Literal["planned", "hello", "sent", "countersigned", "chore", "nothing", "stopped", "failed"]
+    did: Literal["planned", "hello", "sent", "countersigned", "chore", "nothing", "doubted", "stopped", "failed"]
     sleep_s: float = 0.0
     """How long nothing needs to be done, unless the log grows."""
     segments: int = 0
