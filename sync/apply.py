@@ -10,7 +10,7 @@ import hashlib
 from collections.abc import Callable
 from datetime import datetime
 
-from events import CorruptSegment, Draft, Segment, Station, StreamName, UnknownType, chain, decode
+from events import CorruptSegment, Draft, PayloadGone, Segment, Station, StreamName, UnknownType, chain, decode
 from store import ChainBroken, Log, SequenceConflict, StreamHead
 from sync.errors import ProtocolMismatch, Refusal, WireError
 from sync.wire import (
@@ -134,7 +134,7 @@ def _check(log: Log, station: Station, segments: list[Segment]) -> None:
             decode(segment, log.catalogue, as_stored=True)
         except UnknownType:
             pass  # A newer station's: kept, shipped on and verified; whoever reads it is told.
-        except CorruptSegment as error:
+        except (CorruptSegment, PayloadGone) as error:
             is_meant = _is_chained(log, segment, previous.get((header.stream, header.epoch)))
             code = "false_header" if is_meant else "bad_header"
             raise _corrupt(segment, code, str(error), "a payload that holds what the header says") from error

@@ -4,6 +4,7 @@ SyncError
 ├── WireError            bytes or JSON that are not this protocol's
 ├── PlanError            a plan that cannot be used
 ├── GrantError           a token or a table of tokens that cannot be used
+├── BadSignature         a request that is not signed as it must be
 ├── Refusal              central: a request that is refused, with the answer to give
 ├── CentralError         station: central did not do what it was asked
 │   ├── CentralUnreachable   no connection, a connection lost, no answer in time
@@ -38,6 +39,15 @@ class PlanError(SyncError):
 
 class GrantError(SyncError):
     """A token or a table of tokens that cannot be used."""
+
+
+class BadSignature(SyncError):
+    """A request that is not signed as it must be."""
+
+    def __init__(self, reason: str, *, key_id: str | None = None, is_key_known: bool = False) -> None:
+        super().__init__(reason)
+        self.key_id = key_id
+        self.is_key_known = is_key_known
 
 
 @dataclass(eq=False)
