@@ -23,7 +23,7 @@ SyncError
 from dataclasses import dataclass
 
 from events import StreamName
-from store import StreamHead
+from sync.runs import Run, StreamKey
 
 
 class SyncError(Exception):
@@ -68,7 +68,8 @@ class Refusal(SyncError):
     stream: StreamName | None = None
     epoch: int | None = None
     first_sequence: int | None = None
-    cursors: tuple[StreamHead, ...] = ()
+    held: tuple[tuple[StreamKey, tuple[Run, ...]], ...] = ()
+    """what is held of the streams of the request"""
 
     def __str__(self) -> str:
         return f"{self.error}: got {self.got}, wanted {self.wanted}. Next: {self.next}"
