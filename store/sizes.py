@@ -23,6 +23,8 @@ class Part:
     """only those with an event at or after this time"""
     without: tuple[tuple[int, int], ...] = ()
     """but for those in these ranges of sequences: behind the first number, up to the second"""
+    without_since: datetime | None = None
+    """of which only segments with an event at or after this time are left out"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,8 +52,9 @@ class Size:
 
 _PARTS = """
 with part as (
-  select p.n, p.since, s.id from unnest(%(n)s::int[], %(stations)s::text[], %(sources)s::text[], %(types)s::text[],
-    %(epochs)s::int[], %(since)s::timestamptz[]) as p(n, station, source, type, epoch, since)
+  select p.n, p.since, p.without_since, s.id from unnest(%(n)s::int[], %(stations)s::text[], %(sources)s::text[],
+    %(types)s::text[], %(epochs)s::int[], %(since)s::timestamptz[], %(without_since)s::timestamptz[])
+    as p(n, station, source, type, epoch, since, without_since)
   join streams s on (s.station, s.source, s.type, s.epoch) = (p.station, p.source, p.type, p.epoch)),
 without as (
   select * from unnest(%(without_n)s::int[], %(without_after)s::bigint[], %(without_last)s::bigint[])
@@ -61,7 +64,8 @@ _HOT = """
 select p.n, count(*), sum(g.event_count)::bigint, coalesce(sum(octet_length(g.payload)), 0)::bigint,
   sum(octet_length(g.producer) + octet_length(g.producer_version))::bigint
 from part p join segments g on g.stream_id = p.id and (p.since is null or g.time_max >= p.since)
-where not exists (select from without w where w.n = p.n and g.first_sequence > w.after and g.first_sequence <= w.last)
+where not exists (select from without w where w.n = p.n and g.first_sequence > w.after and g.first_sequence <= w.last
+  and (p.without_since is null or g.time_max >= p.without_since))
 group by p.n
 """
 _SEALED = """
@@ -71,7 +75,7 @@ from part p join sealed_ranges r on r.stream_id = p.id join sealed_files f on f.
 cross join lateral (
   select (r.last_sequence - r.first_sequence + 1 - coalesce((
       select sum(greatest(0, least(w.last, r.last_sequence) - greatest(w.after, r.first_sequence - 1)))
-      from without w where w.n = p.n), 0))
+      from without w where w.n = p.n and (p.without_since is null or r.time_max >= p.without_since)), 0))
     * case when p.since is null or p.since <= r.time_min then 1.0 when p.since > r.time_max then 0.0
       else (extract(epoch from r.time_max - p.since) + 0.000001)
         / (extract(epoch from r.time_max - r.time_min) + 0.000001) end as share) shares
@@ -104,6 +108,7 @@ def _parameters(parts: Sequence[Part]) -> dict[str, Any]:
         "types": [part.stream.type for part in parts],
         "epochs": [part.epoch for part in parts],
         "since": [part.since for part in parts],
+        "without_since": [part.without_since for part in parts],
         "without_n": [number for number, _, _ in without],
         "without_after": [after for _, after, _ in without],
         "without_last": [last for _, _, last in without],

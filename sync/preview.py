@@ -22,13 +22,26 @@ from sync.deriving import CHECKPOINT, SEGMENT_EVENTS
 from sync.errors import FilterFailed, PlanError
 from sync.filtering import Sieve, database, joined
 from sync.plan import Entry, Plan, base_of, derived_name
+from sync.reports import Status
 
 SAMPLE_SEGMENTS = 16
 RECORD_BYTES = 121
 """What a record of protocol 2 has besides header and payload."""
 
-Held = Mapping[tuple[StreamName, int], Sequence[tuple[int, int]]]
-"""What central holds of each stream and epoch: ranges of sequences, behind the first number up to the second."""
+
+@dataclass(frozen=True, slots=True)
+class Held:
+    """What central holds of one stream."""
+
+    ranges: tuple[tuple[int, int], ...]
+    """of sequences: behind the first number, up to the second"""
+    since: datetime | None = None
+    """only segments with an event at or after this time"""
+
+
+AllHeld = Mapping[tuple[StreamName, int], Held]
+"""What central holds of each stream and epoch."""
+_NOTHING = Held(())
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +87,7 @@ class _Sample:
 
 
 def preview(
-    log: Log, station: Station, plan: Plan, present: Plan | None, held: Held, rate_bps: float | None
+    log: Log, station: Station, plan: Plan, present: Plan | None, held: AllHeld, rate_bps: float | None
 ) -> Preview:
     """What a plan would mean for a station's log as it is now.
 
@@ -109,10 +122,25 @@ def preview(
     return Preview(entries, rate_bps, total, staying, changes, tuple(warnings_of(plan)))
 
 
+def held_by(status: Status | None, present: Plan | None) -> dict[tuple[StreamName, int], Held]:
+    """What central holds, by what the daemon said last of the streams of the present plan.
+
+    Where central lacks some behind its newest event, these are taken to be the oldest.
+    """
+    held = {}
+    for each in status.streams if status is not None else ():
+        if each.cursor:
+            lacking = max(0, (each.backlog or 0) - (each.sequence - each.cursor))
+            entry = None if present is None else present.entry_for(each.stream)
+            since = None if entry is None or entry.is_derived else entry.since
+            held[each.stream, each.epoch] = Held(((lacking, each.cursor),), since)
+    return held
+
+
 class _Look:
     """Looks at a log for one preview."""
 
-    def __init__(self, log: Log, head: int, heads: Mapping[tuple[StreamName, int], StreamHead], held: Held) -> None:
+    def __init__(self, log: Log, head: int, heads: Mapping[tuple[StreamName, int], StreamHead], held: AllHeld) -> None:
         self._log = log
         self._head = head
         self._heads = heads
@@ -146,7 +174,8 @@ class _Look:
         )
 
     def _sized(self, places: Sequence[tuple[StreamName, int]], since: datetime | None) -> "_Sized":
-        parts = [Part(*place, since, tuple(self._held.get(place, ()))) for place in places]
+        known = [self._held.get(place, _NOTHING) for place in places]
+        parts = [Part(*place, since, held.ranges, held.since) for place, held in zip(places, known, strict=True)]
         found = sizes(self._log, parts)
         return sum((_Sized(each, _bytes(place[0], each)) for place, each in zip(places, found, strict=True)), _Sized())
 
@@ -164,7 +193,9 @@ class _Look:
             return _Sized(Size(is_exact=False))
         whole = [Part(head.stream, head.epoch, entry.since) for head in chosen if head.stream == base]
         before = sum(sizes(self._log, whole), Size()).events
-        held = sum(last - after for (stream, _), runs in self._held.items() if stream == name for after, last in runs)
+        held = sum(
+            last - after for (stream, _), each in self._held.items() if stream == name for after, last in each.ranges
+        )
         events = max(0, round(before * sample.share) - held)
         size = Size(-(-events // SEGMENT_EVENTS), events, round(events * sample.bytes_per_event), 0, is_exact=False)
         return _Sized(size, _bytes(name, size))

@@ -12,7 +12,9 @@ from store.sizes import Part, Size, sizes
 from sync import Plan
 from sync.changes import changes_of
 from sync.deriving import Deriver
-from sync.preview import RECORD_BYTES, EntryPreview, Held, Preview, preview
+from sync.preview import RECORD_BYTES, AllHeld, EntryPreview, Held, Preview, held_by, preview
+from sync.reports import Status, StreamStatus
+from sync.wire import record_size
 from tests.store.tiered import seal_all
 from tests.sync.conftest import BRNO, NOON, append_points, stream_of
 from tests.sync.test_deriving import filtered, plan, run
@@ -25,7 +27,7 @@ def plan_of(*entries: dict[str, Any], **more: Any) -> Plan:
     return Plan.of({"entries": list(entries), **more}).resolved(NOON + timedelta(days=1))
 
 
-def look(log: Log, chosen: Plan, held: Held | None = None, rate: float | None = None) -> Preview:
+def look(log: Log, chosen: Plan, held: AllHeld | None = None, rate: float | None = None) -> Preview:
     return preview(log, BRNO, chosen, None, held or {}, rate)
 
 
@@ -61,8 +63,25 @@ def test_segments_before_the_time_and_what_central_holds_do_not_count(filled: Lo
     found = one(filled, {"stream": "*/gate/*", "from": LATER})
     assert (found.segments, found.events) == (2, 501)
     assert found.bytes == records(filled, GATE, since=NOON + timedelta(milliseconds=1000))
-    found = one(filled, {"stream": "*/gate/*"}, held={(GATE, filled.epoch): [(0, 1000), (1500, 1501)]})
+    found = one(filled, {"stream": "*/gate/*"}, held={(GATE, filled.epoch): Held(((0, 1000), (1500, 1501)))})
     assert (found.segments, found.events) == (1, 500)
+
+
+def test_a_record_is_counted_as_it_travels(filled: Log) -> None:
+    segment = next(filled.read_all())
+    assert record_size(segment) == RECORD_BYTES + len(header_bytes(segment.header)) + len(segment.payload)
+
+
+def test_what_is_filled_in_retrospect_is_what_the_present_plan_left_out(filled: Log) -> None:
+    present = plan_of({"stream": "*/gate/*", "from": LATER})
+    streams = (StreamStatus(GATE, filled.epoch, 30, 1501, 1501, 0, None),)
+    status = Status(BRNO, "http://central", streams, NOON, None, 0, None)
+    assert one(filled, {"stream": "*/gate/*"}, held=held_by(status, present)).events == 1000
+    assert one(filled, {"stream": "*/gate/*", "from": LATER}, held=held_by(status, present)).events == 0
+    assert one(filled, {"stream": "*/gate/*"}, held=held_by(status, None)).events == 0
+    assert held_by(None, None) == {}
+    behind = Status(BRNO, "", (StreamStatus(GATE, filled.epoch, 0, 1501, 1501, 1000, None),), NOON, None, 0, None)
+    assert one(filled, {"stream": "*/gate/*"}, held=held_by(behind, None)).events == 1000
 
 
 def test_time_is_told_at_the_least_of_rate_and_limits_and_never_made_up(filled: Log) -> None:

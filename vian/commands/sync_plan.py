@@ -15,7 +15,8 @@ from sync.checking import check_filters, warnings_of
 from sync.plan import Plan
 from sync.plan_values import rate, time_text
 from sync.planning import Planned, planned_in, set_plan
-from sync.preview import EntryPreview, Preview, preview
+from sync.preview import EntryPreview, Preview, held_by, preview
+from sync.reports import saved_status
 from vian import options
 from vian.clock import utc_now
 from vian.errors import WorldFailed, WrongUsage
@@ -98,7 +99,9 @@ def preview_(
         before = None if present is None else present.plan
         plan = plan.resolved(utc_now(), before)
         check_filters(plan, log.catalogue)
-        found = preview(log, name, plan, before, {}, _rate_of(rate_given))
+        status = saved_status(log)
+        measured = status.rate_bps if status is not None else None
+        found = preview(log, name, plan, before, held_by(status, before), _rate_of(rate_given) or measured)
     output = Output(is_json=as_json)
     if output.is_json:
         output.result(_as_data(found))
