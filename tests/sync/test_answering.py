@@ -57,7 +57,7 @@ def test_a_question_sees_the_stations_that_its_caller_may_read(central: Log) -> 
     for reads, seen in ((["oslo-1"], ["oslo-1"]), (["*"], everywhere), (["nowhere"], []), ([], [])):
         for sql in SEEING:
             rows = query(central, sql, caller(*reads)).rows
-            assert sorted(station for (station,) in rows if station != "central") == seen, sql
+            assert sorted(str(station) for (station,) in rows if station != "central") == seen, sql
 
 
 @on_both
