@@ -25,7 +25,7 @@ from psycopg_pool import ConnectionPool, PoolTimeout
 from events import Catalogue, Draft, EventType, Position, Segment, StreamName, load_catalogue
 from store.coldtier import ColdTier
 from store.embedded import EmbeddedServer
-from store.errors import UNKNOWN, BadRequest, ChainBroken, DatabaseDamaged, LogUnavailable, StoreError
+from store.errors import UNKNOWN, BadRequest, ChainBroken, DatabaseDamaged, DiskNearlyFull, LogUnavailable, StoreError
 from store.reading import (
     Filter,
     TimeOrNone,
@@ -37,6 +37,7 @@ from store.reading import (
     stream_query,
 )
 from store.resending import acknowledged
+from store.room import Room
 from store.schema import migrate, safe_dsn
 from store.writing import APPEND, Appended, PlaceIsSealed, append_answer, append_error, append_parameters
 
@@ -77,10 +78,11 @@ class Transaction:
     one transaction may wait in a circle with another writer (one of the two is then LogUnavailable).
     """
 
-    def __init__(self, connection: psycopg.Connection[Any], epoch: int, archive: ColdTier) -> None:
+    def __init__(self, connection: psycopg.Connection[Any], epoch: int, archive: ColdTier, room: Room) -> None:
         self.connection = connection
         self._epoch = epoch
         self._archive = archive
+        self._room = room
 
     def append(
         self,
@@ -89,6 +91,7 @@ class Transaction:
         *,
         epochs: Sequence[int] | None = None,
         chain_hashes: Sequence[bytes] | None = None,
+        from_reserve: bool = False,
     ) -> list[Appended]:
         """Append the drafts, in this order, and say where each came to stand.
 
@@ -98,12 +101,16 @@ class Transaction:
                 append wherever it stands. With it, a re-sent draft is recognised.
             epochs: For each draft the epoch of its stream; this log's own by default.
             chain_hashes: For each draft the chain hash that must come out; a replica gives it.
+            from_reserve: Append though the disk is nearly full: for the few events that lead to room.
 
         Raises:
+            DiskNearlyFull: The log's disk has less room than must stay free.
             SequenceConflict: A stream stands elsewhere, or holds other bytes there.
             ChainBroken: A chain hash comes out different.
             BadRequest: The lists differ in length, or an expected sequence is negative.
         """
+        if not from_reserve:
+            self._room.require()
         appended = _append(
             self.connection, self._epoch, drafts, expected, epochs, chain_hashes, sealed_is_compared=True
         )
@@ -201,6 +208,7 @@ class Log:
             open=False,
         )
         self.archive = ColdTier(self._fetched, server.data_dir if server else None)
+        self.room = Room(self._fetched, server.data_dir if server else None)
         self._sealed_position = 0
         """As far as is known; it only grows."""
         self._pool.open()
@@ -231,7 +239,7 @@ class Log:
                 transaction may then have been committed or not: append again with `expected`.
         """
         with self.connection() as connection, connection.transaction():
-            yield Transaction(connection, self.epoch, self.archive)
+            yield Transaction(connection, self.epoch, self.archive, self.room)
 
     @contextmanager
     def connection(self) -> Iterator[psycopg.Connection[Any]]:
@@ -247,6 +255,8 @@ class Log:
                     yield connection
             finally:
                 self._pool.putconn(connection)
+        except DiskNearlyFull:
+            raise
         except LogUnavailable as error:
             raise LogUnavailable(f"{error}{self._room()}") from error
         except PoolTimeout as error:
@@ -286,16 +296,21 @@ class Log:
         *,
         epochs: Sequence[int] | None = None,
         chain_hashes: Sequence[bytes] | None = None,
+        from_reserve: bool = False,
     ) -> list[Appended]:
         """Append the drafts in a transaction of their own and one round trip; see `Transaction.append`."""
+        if not from_reserve:
+            self.room.require()
         with self.connection() as connection:
             try:
                 return _append(connection, self.epoch, drafts, expected, epochs, chain_hashes)
             except PlaceIsSealed:
                 # Nothing was stored. The comparison with the file must come before the commit.
                 with connection.transaction():
-                    transaction = Transaction(connection, self.epoch, self.archive)
-                    return transaction.append(drafts, expected, epochs=epochs, chain_hashes=chain_hashes)
+                    transaction = Transaction(connection, self.epoch, self.archive, self.room)
+                    return transaction.append(
+                        drafts, expected, epochs=epochs, chain_hashes=chain_hashes, from_reserve=from_reserve
+                    )
 
     def read(
         self, stream: StreamName, from_sequence: int = 1, *, epoch: int | None = None, with_hollow: bool = False

@@ -9,9 +9,10 @@ It runs as the role `vian_pruner`, the only one that may.
 """
 
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import datetime
+from typing import LiteralString
 
 import psycopg
 
@@ -140,9 +141,23 @@ def reclaim(log: Log) -> None:
     Raises:
         LogUnavailable: The database is away.
     """
+    _maintain(log, "vacuum segments")
+
+
+def shrink(log: Log) -> None:
+    """Let PostgreSQL give up what it keeps of its own log beyond need, where the account may ask for that.
+
+    Raises:
+        LogUnavailable: The database is away.
+    """
+    with suppress(psycopg.errors.InsufficientPrivilege):  # it does so by itself, a little later
+        _maintain(log, "checkpoint")
+
+
+def _maintain(log: Log, command: LiteralString) -> None:
     try:
         with psycopg.connect(log.dsn, autocommit=True) as connection:
-            connection.execute("vacuum segments")
+            connection.execute(command)
     except psycopg.OperationalError as error:
         raise LogUnavailable(f"the database is away: {error}".strip()) from error
 
