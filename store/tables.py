@@ -208,6 +208,24 @@ maintenance = sa.Table(
     comment="Backups of this log, and the restore that it came from.",
 )
 
+field_callers = sa.Table(
+    "field_callers",
+    metadata,
+    sa.Column(
+        "transaction",
+        sa.BigInteger,
+        primary_key=True,
+        autoincrement=False,
+        comment="transaction that answers a question",
+    ),
+    sa.Column("stations", pg.ARRAY(sa.Text), comment="stations whose events it may read; null for all"),
+    comment="Whom a question from the field is answered for: seen by its transaction alone, which never commits.",
+    prefixes=["UNLOGGED"],
+)
+
+
+_LOOKED_UP = {"plate_read": "plate_key(plate)"}
+"""Row tables whose events are looked for by a text of theirs: what is looked at. It and the time have an index."""
 
 _SQL_TYPES: dict[pa.DataType, Any] = {
     pa.bool_(): sa.Boolean(),
@@ -241,7 +259,7 @@ def projection_table(event_type: type[EventType], into: sa.MetaData) -> sa.Table
         if field.name != "time"
     ]
     name = event_type.type_name
-    return sa.Table(
+    table = sa.Table(
         name,
         into,
         sa.Column("station", sa.Text, nullable=False, comment="station that recorded it"),
@@ -258,3 +276,7 @@ def projection_table(event_type: type[EventType], into: sa.MetaData) -> sa.Table
         comment=" ".join((event_type.__doc__ or name).split()),
         postgresql_partition_by="RANGE (time)",
     )
+    if name in _LOOKED_UP:
+        key = sa.literal_column(_LOOKED_UP[name]).label("key")
+        sa.Index(f"{name}_key", key, table.c.time, postgresql_ops={"key": "text_pattern_ops"})
+    return table

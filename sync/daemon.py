@@ -6,7 +6,7 @@ the daemon keeps nothing that a kill could lose. After any doubt (no answer, a r
 says hello again before it sends. Clock and randomness are passed in.
 
 Order: of the streams with a backlog, the smallest priority number first; among equals the one that
-waited longest. A stream whose history differs from central's is stopped; the others go on.
+waited longest. A stream whose history differs from central's, as two hellos say, is stopped; the others go on.
 """
 
 import threading
@@ -32,7 +32,8 @@ from sync.errors import (
 from sync.outbox import Capacity, Outbox, Parcel, StreamKey, check_heads, key_of
 from sync.plan import Plan
 from sync.reports import Pace, Status, Step, StreamStatus
-from sync.wire import PROTOCOL, STREAMS_MAX, Hello, SegmentsAnswer, StreamState, program
+from sync.wire import STREAMS_MAX, program
+from sync.wire_v1 import PROTOCOL, Hello, SegmentsAnswer, StreamState
 
 PRODUCER = "sync"
 PRODUCER_VERSION = "1"
@@ -84,6 +85,7 @@ class Daemon:
         self._cursors: dict[StreamKey, StreamHead] | None = None
         self._capacity = Capacity(self._pace.request_bytes, 0, 0)
         self._stopped: dict[StreamKey, StreamStopped] = {}
+        self._doubts: dict[StreamKey, str] = {}
         self._turns: dict[StreamKey, int] = {}
         self._turn = 0
         self._failures = 0
@@ -99,9 +101,7 @@ class Daemon:
                 self._is_log_away = False
             return self._do()
         except StreamStopped as error:
-            self._stopped[error.stream, error.epoch] = error
-            self._last_error = str(error)
-            return Step("stopped", error=error)
+            return self._doubted_or_stopped(error)
         except LogUnavailable as error:
             self._is_log_away = True
             return self._failed(error)
@@ -254,6 +254,7 @@ class Daemon:
         self._turn += 1
         for key in parcel.ends:
             cursors[key] = stands[key]
+            self._doubts.pop(key, None)
             self._turns[key] = self._turn
         self._last_contact = self._now()
         self._went_well()
@@ -305,6 +306,18 @@ class Daemon:
         else:
             pause = min(self._pace.backoff_s_max, self._pace.backoff_s * 2 ** min(self._failures - 1, 30))
         return Step("failed", pause * (0.5 + self._random() / 2), error=error)
+
+    def _doubted_or_stopped(self, error: StreamStopped) -> Step:
+        """Stop the stream if two hellos lead to the same: one answer alone may have been damaged on its way."""
+        key = error.stream, error.epoch
+        if self._doubts.get(key) != str(error):
+            self._doubts[key] = str(error)
+            self._cursors = None
+            self._outbox.forget()
+            return Step("doubted", self._pace.backoff_s)
+        self._stopped[key] = error
+        self._last_error = str(error)
+        return Step("stopped", error=error)
 
     def _stop_refused(self, error: Refused) -> None:
         """Stop the stream whose segment is refused for what it says, so that the others go on."""

@@ -3,6 +3,7 @@
 SyncError
 ├── WireError            bytes or JSON that are not this protocol's
 ├── PlanError            a plan that cannot be used
+├── FilterFailed         a plan's condition cannot be worked out for an event
 ├── GrantError           a token or a table of tokens that cannot be used
 ├── BadSignature         a request that is not signed as it must be
 ├── Refusal              central: a request that is refused, with the answer to give
@@ -22,7 +23,7 @@ SyncError
 from dataclasses import dataclass
 
 from events import StreamName
-from store import StreamHead
+from sync.runs import Run, StreamKey
 
 
 class SyncError(Exception):
@@ -35,6 +36,10 @@ class WireError(SyncError):
 
 class PlanError(SyncError):
     """A plan that cannot be used."""
+
+
+class FilterFailed(SyncError):
+    """A plan's condition cannot be worked out for an event: a number that overflows, most often."""
 
 
 class GrantError(SyncError):
@@ -63,7 +68,8 @@ class Refusal(SyncError):
     stream: StreamName | None = None
     epoch: int | None = None
     first_sequence: int | None = None
-    cursors: tuple[StreamHead, ...] = ()
+    held: tuple[tuple[StreamKey, tuple[Run, ...]], ...] = ()
+    """what is held of the streams of the request"""
 
     def __str__(self) -> str:
         return f"{self.error}: got {self.got}, wanted {self.wanted}. Next: {self.next}"

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from events import Segment, StreamName, chain
 from store import ChainBroken, Log, StreamHead
 from sync.errors import Damaged, HeadsDisagree, SegmentRefused
-from sync.wire import encode_records, record_size
+from sync.wire_v1 import encode_records, record_size
 
 StreamKey = tuple[StreamName, int]
 """A stream in one epoch: what has a cursor of its own."""

@@ -240,7 +240,7 @@ def test_a_segment_that_central_can_never_take_stops_its_stream_only(
     append_points(station_log, stream_of("big"), [500])
     append_points(station_log, stream_of("small"), [1])
     daemon = make_daemon(address=serve(central_app(central_log, limits=Limits(body_bytes_max=1000))))
-    steps(daemon, 2)
+    assert steps(daemon, 4) == ["planned", "hello", "doubted", "hello"]
 
     stopped = daemon.step()
 

@@ -1,9 +1,11 @@
 import hashlib
+import re
+from typing import Any
 
 import httpx
 import psycopg
 import pytest
-from fastapi import FastAPI, Response
+from fastapi import FastAPI, Request, Response
 
 from events import Draft
 from store import Log, LogUnavailable
@@ -18,6 +20,7 @@ from sync import (
     Pace,
     ProtocolMismatch,
     Refused,
+    Step,
 )
 from tests.sync.conftest import (
     BRNO,
@@ -211,7 +214,7 @@ def test_a_station_with_another_history_is_stopped_with_both_hashes(
     append_points(re_imaged, stream_of(), [1, 2])
     append_points(re_imaged, stream_of("yard"), [3])
     daemon = make_daemon(log=re_imaged)
-    steps(daemon, 2)
+    assert steps(daemon, 4) == ["planned", "hello", "doubted", "hello"]
 
     step = daemon.step()
 
@@ -240,6 +243,31 @@ def test_another_history_is_found_wherever_central_stands(
     with pytest.raises(HeadsDisagree, match=here) as raised:
         make_daemon(log=re_imaged).catch_up()
     assert raised.value.sequence == 3
+
+
+@pytest.mark.parametrize(
+    "said, damaged",
+    [(rb'"chain_hash":"....', b'"chain_hash":"dead'), (rb'"body_bytes_max":\d+', b'"body_bytes_max":1')],
+)
+def test_an_answer_that_was_damaged_on_its_way_stops_no_stream(
+    said: bytes, damaged: bytes, station_log: Log, central_log: Log, make_daemon: MakeDaemon, serve: Serve
+) -> None:
+    append_points(station_log, stream_of(), [3])
+    make_daemon().catch_up()
+    append_points(station_log, stream_of(), [4])
+    app, answers = central_app(central_log), []
+
+    @app.middleware("http")
+    async def damage_the_first(request: Request, call_next: Any) -> Response:
+        answer = await call_next(request)
+        body = b"".join([piece async for piece in answer.body_iterator])
+        answers.append(body)
+        return Response(re.sub(said, damaged, body) if len(answers) == 1 else body, answer.status_code)
+
+    daemon = make_daemon(address=serve(app))
+
+    assert "doubted" in [step.did for step in iter(daemon.step, Step("nothing", Pace().idle_s))]
+    assert stored(central_log) == stored(station_log)
 
 
 def test_other_streams_go_on_when_one_is_stopped(

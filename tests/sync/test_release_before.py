@@ -13,7 +13,7 @@ import pytest
 from events import Draft, Segment
 from store import Log
 from sync import Daemon, Pace, Plan
-from sync.wire import decode_records
+from sync.wire_v1 import decode_records
 from tests.sync.conftest import BRNO, NOON, TOKEN, central_app, start_http
 from tests.sync.transcripts import Exchange, conversation
 
@@ -139,9 +139,10 @@ def _message(connection: socket.socket) -> bytes:
 
 
 def _said(exchange: Exchange) -> dict[str, object]:
-    """What an answer says, but for the program's version, which may grow."""
+    """What an answer says, but for the program's version and the largest body, which may grow."""
     said = json.loads(exchange.response_body)
-    said.pop("program", None)
+    for key in ("program", "body_bytes_max"):
+        said.pop(key, None)
     return dict(said)
 
 
