@@ -8,7 +8,15 @@ from events.camera import CameraCalibrated, SceneChanged, ZoneDefined, ZoneRemov
 from events.catalogue import SHIPPED, Catalogue, load_catalogue
 from events.columns import EventBatch, batch_of, batch_of_type, events_of, schema_of, with_envelope
 from events.door import Allowed, allowed
-from events.errors import CorruptSegment, EventError, InvalidEvent, InvalidName, UnknownType, UpcastFailed
+from events.errors import (
+    CorruptSegment,
+    EventError,
+    InvalidEvent,
+    InvalidName,
+    PayloadGone,
+    UnknownType,
+    UpcastFailed,
+)
 from events.media import VideoAdded
 from events.model import (
     AtDoor,
@@ -90,6 +98,7 @@ __all__ = [
     "Occupancy",
     "PairDistance",
     "Part",
+    "PayloadGone",
     "PersonalBytes",
     "PersonalJson",
     "PersonalText",

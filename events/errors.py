@@ -5,7 +5,8 @@ EventError
 │   └── UpcastFailed     an old version is known, but a plug-in does not bring it to the newest
 ├── InvalidName          a station, source, type or stream name outside the grammar
 ├── InvalidEvent         a value that the type's definition does not allow
-└── CorruptSegment       bytes that are not the segment they claim to be
+├── CorruptSegment       bytes that are not the segment they claim to be
+└── PayloadGone          a segment's payload left the disk; its header and hashes are here
 """
 
 
@@ -31,3 +32,7 @@ class InvalidEvent(EventError):
 
 class CorruptSegment(EventError):
     """Bytes that are not the segment that they claim to be."""
+
+
+class PayloadGone(EventError):
+    """A segment's payload left the disk, pruned or lost; its header and hashes are here, its events are not."""

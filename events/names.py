@@ -17,8 +17,10 @@ Source = NewType("Source", str)
 TypeName = NewType("TypeName", str)
 
 _NAME = re.compile(r"[A-Za-z0-9](?:[A-Za-z0-9._-]{0,62}[A-Za-z0-9])?")
+_SOURCE = re.compile(rf"(?=.{{1,64}}\Z){_NAME.pattern}(?:~[0-9a-f]{{8}})?")
 _TYPE = re.compile(r"[a-z][a-z0-9_]{0,47}")
 _NAME_WANTED = "1 to 64 of A-Z a-z 0-9 . _ -, beginning and ending with a letter or digit"
+_SOURCE_WANTED = f"{_NAME_WANTED}; if derived, then ~ and 8 hexadecimal digits"
 _TYPE_WANTED = "1 to 48 of a-z 0-9 _, beginning with a letter"
 
 
@@ -32,12 +34,12 @@ def station_name(text: str) -> Station:
 
 
 def source_name(text: str) -> Source:
-    """The text as the name of a source: a camera or another sensor.
+    """The text as the name of a source: a camera or another sensor, or what a filter leaves of its streams.
 
     Raises:
         InvalidName: The text is outside the grammar.
     """
-    return Source(_checked("source", text, _NAME, _NAME_WANTED))
+    return Source(_checked("source", text, _SOURCE, _SOURCE_WANTED))
 
 
 def type_name(text: str) -> TypeName:

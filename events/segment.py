@@ -24,7 +24,7 @@ import zstandard
 from events.catalogue import Catalogue
 from events.columns import EventBatch, numbers, schema_of
 from events.door import check
-from events.errors import CorruptSegment, InvalidEvent, InvalidName
+from events.errors import CorruptSegment, InvalidEvent, InvalidName, PayloadGone
 from events.model import EventType
 from events.names import StreamName
 
@@ -120,6 +120,7 @@ class Segment:
 
     header: Header
     payload: bytes
+    """empty where it left the disk: the segment is hollow"""
     payload_hash: bytes
     chain_hash: bytes
     position: Position
@@ -129,6 +130,16 @@ class Segment:
     def stream(self) -> StreamName:
         """The stream it belongs to."""
         return self.header.stream
+
+    @property
+    def has_payload(self) -> bool:
+        """Whether its events are here; of a hollow segment only header and hashes are."""
+        return bool(self.payload)
+
+    @property
+    def is_payload_whole(self) -> bool:
+        """Whether the payload is the one that was hashed, or is not here at all."""
+        return not self.payload or hashlib.sha256(self.payload).digest() == self.payload_hash
 
 
 def encode(stream: StreamName, batch: EventBatch, producer: Producer) -> Draft:
@@ -220,10 +231,13 @@ def decode(segment: Segment, catalogue: Catalogue, *, as_stored: bool = False) -
     Raises:
         UnknownType: The catalogue does not know the type or the version.
         CorruptSegment: The bytes do not decode to what the header says.
+        PayloadGone: The segment is hollow.
     """
     header = segment.header
     event_type = catalogue.find(segment.stream.type, header.schema_version)
     place = f"{segment.stream} from sequence {header.first_sequence}"
+    if not segment.has_payload:
+        raise PayloadGone(f"{place}: the payload left this log's disk. Next: vian sync repair fetches it from central")
     try:
         batch = EventBatch(event_type, decode_payload(segment.payload, schema_of(event_type)))
         if len(batch) != header.event_count:

@@ -253,7 +253,7 @@ class Audit:
         for sequence, chain_hash in self._recent.get((head.stream, head.epoch), ()):
             if sequence == head.sequence:
                 return StreamHead(head.stream, head.epoch, sequence, chain_hash)
-        segment = next(self._log.read(head.stream, head.sequence, epoch=head.epoch), None)
+        segment = next(self._log.read(head.stream, head.sequence, epoch=head.epoch, with_hollow=True), None)
         is_end = segment is not None and segment.header.last_sequence == head.sequence
         return StreamHead(head.stream, head.epoch, head.sequence, segment.chain_hash if segment and is_end else NO_HASH)
 

@@ -6,7 +6,6 @@ that was there stays good, and the next run goes on. Every segment's hash and ch
 way, so damage does not creep into a backup. Why this and not pg_dump: docs/decisions/0014.
 """
 
-import hashlib
 import shutil
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
@@ -58,7 +57,7 @@ class Chains:
         """
         header, key = segment.header, (segment.header.stream, segment.header.epoch)
         sequence, previous = self.heads.get(key, (0, GENESIS))
-        if hashlib.sha256(segment.payload).digest() != segment.payload_hash:
+        if not segment.is_payload_whole:
             reason = "its payload does not have the hash that was recorded"
         elif header.first_sequence != sequence + 1:
             reason = f"it follows sequence {sequence}, so it must begin at {sequence + 1}"
@@ -148,7 +147,7 @@ def _base(log: Log, folder: Path) -> Manifest | None:
 
 def _check_same_log(log: Log, manifest: Manifest, folder: Path) -> None:
     at = manifest.position
-    newest = next(log.read_all(at, to_position=at), None) if log.head() >= at else None
+    newest = next(log.read_all(at, to_position=at, with_hollow=True), None) if log.head() >= at else None
     if newest is None or newest.chain_hash.hex() != manifest.last_chain_hash:
         here = f"stands at {log.head()}" if newest is None else "holds another segment there"
         raise BackupUnusable(
@@ -197,7 +196,9 @@ def _add_segments(
     begun_at = manifest.position
     chains = Chains({head.key: (head.sequence, bytes.fromhex(head.chain_hash)) for head in manifest.streams})
     last: list[Segment] = []
-    segments = _checked(log.read_all(begun_at + 1, to_position=moment.position), chains, begun_at, last, on_segment)
+    segments = _checked(
+        log.read_all(begun_at + 1, to_position=moment.position, with_hollow=True), chains, begun_at, last, on_segment
+    )
     while (written := files.write_segments(folder, segments)) is not None:
         file, events = written
         # A segment may have been taken from the iterator but not written: none is, a file ends where it asks no more.

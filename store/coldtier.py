@@ -38,7 +38,7 @@ GROUPS_KEPT = 4
 FILES_KEPT = 16
 FILES_AT_A_TIME = 16
 """Files looked up in the index at a time."""
-_ANY = Filter()
+_ANY = Filter(with_hollow=True)
 _EVERYWHERE = (1, 2**63 - 1)
 
 _FILE_COLUMNS = (
@@ -207,7 +207,9 @@ class ColdTier:
         """
         return self._segments(file, _EVERYWHERE, _ANY, None)
 
-    def of_stream(self, stream: Stream, stream_id: int, from_sequence: int, to_sequence: int) -> Iterator[Segment]:
+    def of_stream(
+        self, stream: Stream, stream_id: int, from_sequence: int, to_sequence: int, chosen: Filter = _ANY
+    ) -> Iterator[Segment]:
         """The stream's sealed segments that hold `from_sequence` or a later event, in order.
 
         Args:
@@ -215,6 +217,7 @@ class ColdTier:
             stream_id: Its id in this log.
             from_sequence: The first event wanted.
             to_sequence: The last event wanted; a file ends with it.
+            chosen: What else is wanted of them.
 
         Raises:
             ChainBroken: One does not hold, or a file cannot be read there.
@@ -229,7 +232,7 @@ class ColdTier:
             {"stream": stream_id, "at": at, "to": to_sequence, "limit": FILES_AT_A_TIME},
         ):
             for first, last, _, *file in rows:
-                for segment in self._segments(SealedFile(*file), (first, last), _ANY, stream):
+                for segment in self._segments(SealedFile(*file), (first, last), chosen, stream):
                     if segment.header.last_sequence >= from_sequence:
                         yield segment
             at = rows[-1][2] + 1

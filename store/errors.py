@@ -13,6 +13,8 @@ StoreError
 ├── BadProof             a key, a signed checkpoint or a saved verification is not what it must be
 ├── BackupUnusable       a backup cannot be made there, or cannot be restored here
 │   └── BackupDamaged    its files are not what its manifest says
+├── QuestionFailed       a question from the field that PostgreSQL does not take, or cannot answer
+├── QuestionTooDear      a question from the field that would cost more than it may
 └── BadRequest           a call asked for what the log does not do
 """
 
@@ -54,6 +56,19 @@ class BadProof(StoreError):
 
 class TableBusy(StoreError):
     """A row table cannot be changed while queries read it; nothing was changed."""
+
+
+class QuestionFailed(StoreError):
+    """A question from the field that PostgreSQL does not take, or cannot answer."""
+
+
+class QuestionTooDear(StoreError):
+    """A question from the field that would cost more time, memory or disk than it may."""
+
+    def __init__(self, message: str, *, is_time: bool = False) -> None:
+        super().__init__(message)
+        self.is_time = is_time
+        """Whether it is time that it would cost."""
 
 
 class BadRequest(StoreError):

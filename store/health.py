@@ -131,7 +131,7 @@ def recorded_at(log: Log, position: int) -> datetime | None:
     recorded: datetime | None = row[1]
     if position > sealed:
         return recorded
-    found = log.archive.page(position, sealed, Filter(), 1)
+    found = log.archive.page(position, sealed, Filter(with_hollow=True), 1)
     return found[0].recorded_at if found else recorded
 
 

@@ -297,20 +297,23 @@ class Log:
                     transaction = Transaction(connection, self.epoch, self.archive)
                     return transaction.append(drafts, expected, epochs=epochs, chain_hashes=chain_hashes)
 
-    def read(self, stream: StreamName, from_sequence: int = 1, *, epoch: int | None = None) -> Iterator[Segment]:
+    def read(
+        self, stream: StreamName, from_sequence: int = 1, *, epoch: int | None = None, with_hollow: bool = False
+    ) -> Iterator[Segment]:
         """The stream's segments that hold `from_sequence` or a later event, in order.
 
         Args:
             stream: The stream; one that does not exist has no segments.
             from_sequence: The first event wanted; the first segment may begin before it.
             epoch: Which life of the stream; its newest by default.
+            with_hollow: Give segments without payload too.
 
         Raises:
             BadRequest: `from_sequence` is negative.
             ChainBroken: A stored segment is one that no log can hold; `vian verify` tells more.
         """
         check_not_negative(f"{stream}: from_sequence", from_sequence)
-        return self._read(stream, from_sequence, epoch)
+        return self._read(stream, from_sequence, epoch, Filter(with_hollow=with_hollow))
 
     def read_lives(self, stream: StreamName) -> Iterator[Segment]:
         """The segments of every life of the stream, the oldest life first, each in order.
@@ -321,15 +324,16 @@ class Log:
         for life in self.lives(stream):
             yield from self.read(stream, epoch=life.epoch)
 
-    def _read(self, stream: StreamName, at: int, epoch: int | None) -> Iterator[Segment]:
+    def _read(self, stream: StreamName, at: int, epoch: int | None, chosen: Filter) -> Iterator[Segment]:
         while True:
-            segments = self._segments(*stream_query(stream, epoch, at, READ_SEGMENTS))
+            query = stream_query(stream, epoch, at, READ_SEGMENTS, with_hollow=chosen.with_hollow)
+            segments = self._segments(*query)
             if not segments or segments[0].header.first_sequence > at:
                 # Asked after the segments: what is not sealed by now was there to be found.
                 place = self._rows(*place_query(stream, epoch))
                 if place and (sealed := place[0][2]) >= max(at, 1):
                     stream_id, epoch, _ = place[0]
-                    yield from self.archive.of_stream((stream, epoch), stream_id, at, sealed)
+                    yield from self.archive.of_stream((stream, epoch), stream_id, at, sealed, chosen)
                     at = sealed + 1
                     continue
             yield from segments
@@ -347,6 +351,7 @@ class Log:
         since: datetime | None = None,
         until: datetime | None = None,
         to_position: int | None = None,
+        with_hollow: bool = False,
     ) -> Iterator[Segment]:
         """The log's segments from a position on, in order of position.
 
@@ -358,13 +363,14 @@ class Log:
             since: Only segments with an event at or after this time.
             until: Only segments with an event before this time.
             to_position: The last position wanted; the log's head at the time of the call by default.
+            with_hollow: Give segments without payload too.
 
         Raises:
             BadRequest: `from_position` is negative, or a time is naive.
             ChainBroken: A stored segment is one that no log can hold; `vian verify` tells more.
         """
         check_not_negative("from_position", from_position)
-        return self._read_all(from_position, to_position, Filter(types, sources, stations, since, until))
+        return self._read_all(from_position, to_position, Filter(types, sources, stations, since, until, with_hollow))
 
     def _read_all(self, at: int, to_position: int | None, chosen: Filter) -> Iterator[Segment]:
         end = to_position if to_position is not None else self.head()
@@ -411,7 +417,7 @@ class Log:
         while first < last:
             middle = (first + last) // 2
             try:
-                self._fetched(*read_query(first, middle, Filter(), middle - first + 1))
+                self._fetched(*read_query(first, middle, Filter(with_hollow=True), middle - first + 1))
             except DatabaseDamaged as error:
                 last, damage = middle, error
             else:

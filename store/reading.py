@@ -41,6 +41,9 @@ class TimeOrNone(TimestamptzBinaryLoader):
 class Filter:
     """Which segments are wanted; None lets all through.
 
+    Hollow segments, those without payload, are passed over unless they are asked for: who decodes events has no use
+    for them, and who follows chains, or ships, seals and backs up, must have them.
+
     Raises:
         BadRequest: A time is naive.
     """
@@ -50,6 +53,7 @@ class Filter:
     stations: Sequence[str] | None = None
     since: datetime | None = None
     until: datetime | None = None
+    with_hollow: bool = False
 
     def __post_init__(self) -> None:
         for name, time in (("since", self.since), ("until", self.until)):
@@ -81,23 +85,28 @@ def read_query(from_position: int, to_position: int, chosen: Filter, limit: int)
     }
     used = {name: part for name, part in wanted.items() if part[1] is not None}
     conditions = ["g.position between %(first)s and %(last)s", *(condition for condition, _ in used.values())]
+    if not chosen.with_hollow:
+        conditions.append("g.payload is not null")
     parameters = {"first": from_position, "last": to_position, "limit": limit}
     parameters |= {name: value for name, (_, value) in used.items()}
     where = " and ".join(conditions)
     return f"select {_SEALED_POSITION}, {_FROM}{where} order by g.position limit %(limit)s", parameters
 
 
-def stream_query(stream: StreamName, epoch: int | None, from_sequence: int, limit: int) -> tuple[str, dict[str, Any]]:
+def stream_query(
+    stream: StreamName, epoch: int | None, from_sequence: int, limit: int, *, with_hollow: bool
+) -> tuple[str, dict[str, Any]]:
     """The query for a page of one stream, in order of sequence, and its parameters."""
     wanted = (
         "(select id from streams where station = %(station)s and source = %(source)s and type = %(type)s "
         "and (%(epoch)s::int is null or epoch = %(epoch)s) order by epoch desc limit 1)"
     )
+    whole = "" if with_hollow else "and g.payload is not null "
     # Both sub-queries stand alone, so that they are evaluated once and bound the index scan.
     query = (
         f"select {_FROM}g.stream_id = {wanted} and g.first_sequence + g.event_count > %(from)s "
         f"and g.first_sequence >= coalesce((select max(h.first_sequence) from segments h where h.stream_id = {wanted} "
-        "and h.first_sequence <= %(from)s), 0) order by g.first_sequence limit %(limit)s"
+        f"and h.first_sequence <= %(from)s), 0) {whole}order by g.first_sequence limit %(limit)s"
     )
     return query, {
         "station": stream.station,
@@ -154,7 +163,7 @@ def segment_of(row: Sequence[Any]) -> Segment:
         header = Header(stream, epoch, SequenceNumber(first), count, version, time_min, time_max, said_by)
     except EventError as error:
         raise ChainBroken(stream, position, first, f"its header does not hold: {error}") from error
-    return Segment(header, payload, payload_hash, chain_hash, Position(position), recorded_at)
+    return Segment(header, payload or b"", payload_hash, chain_hash, Position(position), recorded_at)
 
 
 def _list(values: Sequence[str] | None) -> list[str] | None:

@@ -254,7 +254,7 @@ def _row(segment: Segment, ids: dict[tuple[StreamName, int], int]) -> tuple[Any,
         header.producer.name,
         header.producer.version,
         header.producer.configuration_hash,
-        segment.payload,
+        segment.payload or None,
         segment.payload_hash,
         segment.chain_hash,
     )

@@ -205,8 +205,8 @@ class Sealer:
         while True:
             with self._log.connection() as connection:
                 rows = connection.execute(
-                    "select position, octet_length(payload), recorded_at < %s from segments where position >= %s "
-                    "order by position limit %s",
+                    "select position, coalesce(octet_length(payload), 0), recorded_at < %s from segments "
+                    "where position >= %s order by position limit %s",
                     (before, first, _PLAN_SEGMENTS),
                 ).fetchall()
             for position, size, is_old in rows:
@@ -225,7 +225,7 @@ class Sealer:
         def fill(sink: BinaryIO) -> None:
             with closing(SealedWriter(sink, plan.first, plan.last)) as writer:
                 for first, last in plan.groups:
-                    segments = list(self._log.read_all(first, to_position=last))
+                    segments = list(self._log.read_all(first, to_position=last, with_hollow=True))
                     _check_positions(segments, first, last)
                     for segment in segments:
                         chains.follow(segment)

@@ -527,7 +527,7 @@ class SharedAppender:
         """Whether the log was restored since, and what it was restored from holds the draft already."""
         if kept.epoch == self._log.epoch or kept.expected is None:
             return False
-        there = next(self._log.read(kept.draft.stream, kept.expected + 1, epoch=kept.epoch), None)
+        there = next(self._log.read(kept.draft.stream, kept.expected + 1, epoch=kept.epoch, with_hollow=True), None)
         return (
             there is not None
             and there.header.first_sequence == kept.expected + 1

@@ -34,7 +34,7 @@ from store.walk import At, Walk
 PRODUCER = Producer("signer", "1", sha256(b"{}").digest())
 _PAGE_SEGMENTS = 250
 _ATTEMPTS_MAX = 5
-_EVERYTHING = Filter()
+_EVERYTHING = Filter(with_hollow=True)
 
 
 @dataclass(slots=True)

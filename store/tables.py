@@ -76,7 +76,7 @@ segments = sa.Table(
     sa.Column("producer", sa.Text, nullable=False, comment="extractor that said it"),
     sa.Column("producer_version", sa.Text, nullable=False, comment="version of the extractor"),
     sa.Column("configuration_hash", pg.BYTEA, nullable=False, comment="SHA-256 of the extractor's configuration"),
-    sa.Column("payload", pg.BYTEA, nullable=False, comment="zstd of an Arrow record batch"),
+    sa.Column("payload", pg.BYTEA, comment="zstd of an Arrow record batch; null: it left the disk"),
     sa.Column("payload_hash", pg.BYTEA, nullable=False, comment="SHA-256 of the payload"),
     sa.Column("chain_hash", pg.BYTEA, nullable=False, comment="SHA-256 of previous chain hash, header, payload hash"),
     sa.UniqueConstraint("stream_id", "first_sequence", name="segments_place"),
@@ -126,6 +126,13 @@ archive_head = sa.Table(
     sa.Column("pending_path", sa.Text, comment="file that a sealing is writing, or was when it was killed"),
     sa.Column("pending_position", sa.BigInteger, comment="last position of that file"),
     sa.Column("is_removing", sa.Boolean, nullable=False, comment="true only inside the function seal_segments"),
+    sa.Column(
+        "is_rewriting",
+        sa.Boolean,
+        nullable=False,
+        server_default=sa.text("false"),
+        comment="true only inside the functions that take payloads off the disk and put them back",
+    ),
     comment="One row: where the archive is, and how far the log is sealed.",
 )
 
@@ -201,6 +208,24 @@ maintenance = sa.Table(
     comment="Backups of this log, and the restore that it came from.",
 )
 
+field_callers = sa.Table(
+    "field_callers",
+    metadata,
+    sa.Column(
+        "transaction",
+        sa.BigInteger,
+        primary_key=True,
+        autoincrement=False,
+        comment="transaction that answers a question",
+    ),
+    sa.Column("stations", pg.ARRAY(sa.Text), comment="stations whose events it may read; null for all"),
+    comment="Whom a question from the field is answered for: seen by its transaction alone, which never commits.",
+    prefixes=["UNLOGGED"],
+)
+
+
+_LOOKED_UP = {"plate_read": "plate_key(plate)"}
+"""Row tables whose events are looked for by a text of theirs: what is looked at. It and the time have an index."""
 
 _SQL_TYPES: dict[pa.DataType, Any] = {
     pa.bool_(): sa.Boolean(),
@@ -234,7 +259,7 @@ def projection_table(event_type: type[EventType], into: sa.MetaData) -> sa.Table
         if field.name != "time"
     ]
     name = event_type.type_name
-    return sa.Table(
+    table = sa.Table(
         name,
         into,
         sa.Column("station", sa.Text, nullable=False, comment="station that recorded it"),
@@ -251,3 +276,7 @@ def projection_table(event_type: type[EventType], into: sa.MetaData) -> sa.Table
         comment=" ".join((event_type.__doc__ or name).split()),
         postgresql_partition_by="RANGE (time)",
     )
+    if name in _LOOKED_UP:
+        key = sa.literal_column(_LOOKED_UP[name]).label("key")
+        sa.Index(f"{name}_key", key, table.c.time, postgresql_ops={"key": "text_pattern_ops"})
+    return table

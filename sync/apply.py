@@ -1,159 +1,156 @@
 """What central does with a hello and with segments, apart from HTTP.
 
-Contract: `apply` is one transaction: all segments of a body are durable when it returns, or none is
+Contract: `apply_2` is one transaction: all segments of a body are durable when it returns, or none is
 stored. A segment that is there already is acknowledged and not stored again, so a body may be sent
 any number of times. Nothing a station says of itself is believed: whose stream it is, the payload's
 hash, the chain, and for known types the number of events and their times are checked before.
 """
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from datetime import datetime
+from typing import Protocol
 
-from events import CorruptSegment, Draft, Segment, Station, StreamName, UnknownType, chain, decode
-from store import ChainBroken, Log, SequenceConflict, StreamHead
+from events import CorruptSegment, Draft, PayloadGone, Segment, Station, StreamName, UnknownType, chain, decode
+from store import ChainBroken, Log, SequenceConflict
+from store.writing import Appended
 from sync.errors import ProtocolMismatch, Refusal, WireError
+from sync.held import held_of, runs_of
+from sync.runs import StreamKey
 from sync.wire import (
-    PROTOCOL,
+    PROTOCOLS,
+    Cursor,
     Hello,
     HelloAnswer,
+    Record,
     SegmentsAnswer,
-    StreamState,
+    common_protocol,
+    cursors_hash,
     decode_records,
-    parse_versioned,
+    parse,
     program,
 )
 
 
-def answer_hello(
-    log: Log, station: Station, body: bytes, *, body_bytes_max: int, segments_max: int, now: Callable[[], datetime]
+class Speaker(Protocol):
+    """Who sent a request, as central has found out."""
+
+    @property
+    def station(self) -> Station:
+        """The station for which it speaks."""
+
+
+def answer_hello_2(
+    log: Log,
+    caller: Speaker,
+    body: bytes,
+    *,
+    body_bytes_max: int,
+    segments_max: int,
+    now: Callable[[], datetime],
+    token: str = "",
+    token_expires_s: float = 0.0,
+    bits_per_s_max: int | None = None,
 ) -> HelloAnswer:
-    """The cursors of the streams that the hello names.
+    """What central holds of the station, and what it takes at most.
+
+    Args:
+        log: Central's log.
+        caller: Whose hello it is.
+        body: The hello.
+        body_bytes_max: Most bytes of a body of segments.
+        segments_max: Most segments in one body.
+        now: Central's clock.
+        token: What the station shows with its requests from now on.
+        token_expires_s: How long it is good, in seconds; 0: no end.
+        bits_per_s_max: Most that the station may send; None: no limit.
 
     Raises:
-        Refusal: It is no hello, of another protocol version, or says it is another station.
+        Refusal: It is no hello, speaks no version that is known here, or says it is another station.
         LogUnavailable: The database is away.
     """
     hello = _hello(body)
-    if hello.station != station:
-        raise Refusal(
-            403,
-            "foreign_station",
-            "the token speaks for another station than the hello",
-            f"station {hello.station}",
-            f"station {station}",
-            "give the station the name that central granted, or central a grant for this name",
-        )
-    wanted = [state.head() for state in hello.streams]
-    for head in wanted:
-        _check_owner(station, head.stream, head.epoch, None)
-    known = {(head.stream, head.epoch): head for head in log.streams() if head.stream.station == station}
-    cursors = [
-        known.get((head.stream, head.epoch), StreamHead(head.stream, head.epoch, 0, bytes(32))) for head in wanted
-    ]
+    check_station(hello.station, caller.station)
+    for state in hello.streams:
+        check_owner(caller.station, StreamName.parse(state.stream), state.epoch, None)
+    held = held_of(log, caller.station)
+    are_known = hello.cursors_hash == cursors_hash(held.items())
     return HelloAnswer(
-        protocol=PROTOCOL,
+        protocol=common_protocol(hello),
         program=program(),
-        station=station,
+        station=caller.station,
         time=now(),
-        cursors=tuple(map(StreamState.of, cursors)),
+        token=token,
+        token_expires_s=token_expires_s,
+        cursors=() if are_known else tuple(Cursor.of(key, runs) for key, runs in sorted(held.items())),
+        are_cursors_known=are_known,
         body_bytes_max=body_bytes_max,
         segments_max=segments_max,
+        bits_per_s_max=bits_per_s_max,
     )
 
 
-def apply(log: Log, station: Station, body: bytes, *, body_bytes_max: int, segments_max: int) -> SegmentsAnswer:
-    """Store the segments of the body, and say where their streams stand then.
+def apply_2(
+    log: Log,
+    caller: Speaker,
+    body: bytes,
+    *,
+    body_bytes_max: int,
+    segments_max: int,
+    still_allowed: Callable[[], None] = lambda: None,
+) -> SegmentsAnswer:
+    """Store the segments of the body, and say what is held of their streams then.
+
+    Args:
+        log: Central's log.
+        caller: Who sent it.
+        body: Records.
+        body_bytes_max: Most bytes of it.
+        segments_max: Most records in it.
+        still_allowed: Called when all is checked, directly before it is stored; raises if the caller may no
+            longer write.
 
     Raises:
         Refusal: Something is wrong with them; nothing was stored.
         LogUnavailable: The database is away; if it went away during the commit, the segments may have
             been stored.
     """
-    segments = _segments(body, body_bytes_max, segments_max)
-    _check(log, station, segments)
-    try:
-        appended = log.append(
-            [_draft(segment) for segment in segments],
-            [segment.header.first_sequence - 1 for segment in segments],
-            epochs=[segment.header.epoch for segment in segments],
-            chain_hashes=[segment.chain_hash for segment in segments],
-        )
-    except (SequenceConflict, ChainBroken) as error:
-        raise _conflict(log, segments, error) from error
+    records = _records(body, body_bytes_max, segments_max)
+    check(log, caller.station, records, may_lack_payload=True)
+    still_allowed()
+    appended = store_records(log, records)
     duplicates = sum(one.was_there for one in appended)
+    held = runs_of(log, _keys(records))
     return SegmentsAnswer(
-        cursors=tuple(map(StreamState.of, _cursors(log, segments))),
+        cursors=tuple(Cursor.of(key, runs) for key, runs in held.items()),
         stored=len(appended) - duplicates,
         duplicates=duplicates,
     )
 
 
-def _hello(body: bytes) -> Hello:
-    try:
-        return parse_versioned(Hello, body)
-    except ProtocolMismatch as error:
-        raise Refusal(
-            400,
-            "protocol_version",
-            "the sync protocol has another version here",
-            str(error),
-            f"version {PROTOCOL}",
-            "bring station and central to the same ViAn: pip install --upgrade vian",
-        ) from error
-    except WireError as error:
-        raise Refusal(
-            400, "bad_hello", "the body is no hello", str(error), "a Hello in JSON", "upgrade ViAn on the older side"
-        ) from error
-
-
-def _segments(body: bytes, body_bytes_max: int, segments_max: int) -> list[Segment]:
-    try:
-        return decode_records(body, bytes_max=body_bytes_max, segments_max=segments_max)
-    except WireError as error:
-        raise Refusal(
-            400, "bad_body", "the body does not hold segments", str(error), "whole segment records", "send it again"
-        ) from error
-
-
-def _check(log: Log, station: Station, segments: list[Segment]) -> None:
-    """Nothing, if each segment is the station's own and is what its header says.
+def check_station(said: str, station: Station) -> None:
+    """Nothing, if a hello speaks for the station that may say it.
 
     Raises:
-        Refusal: One is not.
+        Refusal: It speaks for another.
     """
-    previous: dict[tuple[StreamName, int], Segment] = {}
-    for segment in segments:
-        header = segment.header
-        _check_owner(station, header.stream, header.epoch, header.first_sequence)
-        payload_hash = hashlib.sha256(segment.payload).digest()
-        if payload_hash != segment.payload_hash:
-            got, wanted = f"payload {payload_hash.hex()}", f"payload {segment.payload_hash.hex()}"
-            raise _corrupt(segment, "bad_payload", got, wanted)
-        try:
-            decode(segment, log.catalogue, as_stored=True)
-        except UnknownType:
-            pass  # A newer station's: kept, shipped on and verified; whoever reads it is told.
-        except CorruptSegment as error:
-            is_meant = _is_chained(log, segment, previous.get((header.stream, header.epoch)))
-            code = "false_header" if is_meant else "bad_header"
-            raise _corrupt(segment, code, str(error), "a payload that holds what the header says") from error
-        previous[header.stream, header.epoch] = segment
+    if said != station:
+        raise Refusal(
+            403,
+            "foreign_station",
+            "the token speaks for another station than the hello",
+            f"station {said}",
+            f"station {station}",
+            "give the station the name that central granted, or central a grant for this name",
+        )
 
 
-def _is_chained(log: Log, segment: Segment, before: Segment | None) -> bool:
-    """Whether the chain proves that the header left the station like this, and was not damaged on the way."""
-    header = segment.header
-    if before is not None:
-        sequence, chain_hash = int(before.header.last_sequence), before.chain_hash
-    else:
-        cursor = log.stream_head(header.stream, epoch=header.epoch)
-        sequence, chain_hash = cursor.sequence, cursor.chain_hash
-    is_next = header.first_sequence == sequence + 1
-    return is_next and chain(chain_hash, header, segment.payload_hash) == segment.chain_hash
+def check_owner(station: Station, stream: StreamName, epoch: int, first_sequence: int | None) -> None:
+    """Nothing, if the stream is the station's own.
 
-
-def _check_owner(station: Station, stream: StreamName, epoch: int, first_sequence: int | None) -> None:
+    Raises:
+        Refusal: It is another's.
+    """
     if stream.station != station:
         raise Refusal(
             403,
@@ -168,7 +165,101 @@ def _check_owner(station: Station, stream: StreamName, epoch: int, first_sequenc
         )
 
 
-def _corrupt(segment: Segment, code: str, got: str, wanted: str) -> Refusal:
+def check(log: Log, station: Station, records: Sequence[Record], *, may_lack_payload: bool) -> None:
+    """Nothing, if each segment is the station's own and is what its header says.
+
+    Raises:
+        Refusal: One is not.
+    """
+    for record in records:
+        segment = record.segment
+        header = segment.header
+        check_owner(station, header.stream, header.epoch, header.first_sequence)
+        if may_lack_payload and not segment.has_payload:
+            continue
+        _check_payload_hash(segment)
+        try:
+            decode(segment, log.catalogue, as_stored=True)
+        except UnknownType:
+            pass  # A newer station's: kept, shipped on and verified; whoever reads it is told.
+        except (CorruptSegment, PayloadGone) as error:
+            # The chain tells a lie of the station's from what was damaged on the way.
+            is_meant = chain(record.previous, header, segment.payload_hash) == segment.chain_hash
+            code = "false_header" if is_meant else "bad_header"
+            raise corrupt(segment, code, str(error), "a payload that holds what the header says") from error
+
+
+def store_records(log: Log, records: Sequence[Record]) -> list[Appended]:
+    """What became of each record in the log; all or none is stored.
+
+    Raises:
+        Refusal: One does not go on from what is held, or other bytes are there.
+        LogUnavailable: The database is away.
+    """
+    try:
+        return log.append(
+            [_draft(record.segment) for record in records],
+            [record.segment.header.first_sequence - 1 for record in records],
+            epochs=[record.segment.header.epoch for record in records],
+            chain_hashes=[record.segment.chain_hash for record in records],
+        )
+    except (SequenceConflict, ChainBroken) as error:
+        raise _conflict(log, records, error) from error
+
+
+def _hello(body: bytes) -> Hello:
+    try:
+        hello = parse(Hello, body)
+        common_protocol(hello)
+    except ProtocolMismatch as error:
+        raise wrong_version(error, " or ".join(map(str, PROTOCOLS))) from error
+    except WireError as error:
+        raise no_hello(error) from error
+    return hello
+
+
+def wrong_version(error: ProtocolMismatch, spoken: object) -> Refusal:
+    """The refusal of a hello in a version that is not spoken here."""
+    return Refusal(
+        400,
+        "protocol_version",
+        "the sync protocol has another version here",
+        str(error),
+        f"version {spoken}",
+        "bring station and central to the same ViAn: pip install --upgrade vian",
+    )
+
+
+def no_hello(error: WireError) -> Refusal:
+    """The refusal of a body that is no hello."""
+    return Refusal(
+        400, "bad_hello", "the body is no hello", str(error), "a Hello in JSON", "upgrade ViAn on the older side"
+    )
+
+
+def no_segments(error: WireError) -> Refusal:
+    """The refusal of a body that holds no records."""
+    return Refusal(
+        400, "bad_body", "the body does not hold segments", str(error), "whole segment records", "send it again"
+    )
+
+
+def _records(body: bytes, body_bytes_max: int, segments_max: int) -> list[Record]:
+    try:
+        return decode_records(body, bytes_max=body_bytes_max, segments_max=segments_max)
+    except WireError as error:
+        raise no_segments(error) from error
+
+
+def _check_payload_hash(segment: Segment) -> None:
+    payload_hash = hashlib.sha256(segment.payload).digest()
+    if payload_hash != segment.payload_hash:
+        got, wanted = f"payload {payload_hash.hex()}", f"payload {segment.payload_hash.hex()}"
+        raise corrupt(segment, "bad_payload", got, wanted)
+
+
+def corrupt(segment: Segment, code: str, got: str, wanted: str) -> Refusal:
+    """The refusal of a segment that is not what it claims to be."""
     return Refusal(
         422,
         code,
@@ -182,9 +273,8 @@ def _corrupt(segment: Segment, code: str, got: str, wanted: str) -> Refusal:
     )
 
 
-def _conflict(log: Log, segments: list[Segment], error: SequenceConflict | ChainBroken) -> Refusal:
-    cursors = _cursors(log, segments)
-    epochs = {segment.stream: segment.header.epoch for segment in segments}
+def _conflict(log: Log, records: Sequence[Record], error: SequenceConflict | ChainBroken) -> Refusal:
+    epochs = {record.segment.stream: record.segment.header.epoch for record in records}
     if isinstance(error, ChainBroken):
         code, first, got, wanted = (
             "other_history",
@@ -208,13 +298,12 @@ def _conflict(log: Log, segments: list[Segment], error: SequenceConflict | Chain
         error.stream,
         epochs[error.stream],
         first,
-        tuple(cursors),
+        tuple(runs_of(log, _keys(records)).items()),
     )
 
 
-def _cursors(log: Log, segments: list[Segment]) -> list[StreamHead]:
-    keys = dict.fromkeys((segment.stream, segment.header.epoch) for segment in segments)
-    return [log.stream_head(stream, epoch=epoch) for stream, epoch in keys]
+def _keys(records: Sequence[Record]) -> list[StreamKey]:
+    return list(dict.fromkeys(StreamKey(each.segment.stream, each.segment.header.epoch) for each in records))
 
 
 def _draft(segment: Segment) -> Draft:

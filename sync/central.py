@@ -18,19 +18,11 @@ from starlette.requests import ClientDisconnect
 
 from events import Station
 from store import Log, LogUnavailable
-from sync.apply import answer_hello, apply
+from sync.apply_v1 import answer_hello, apply, cursor_of
 from sync.errors import Refusal
 from sync.grants import Grantor, Grants
-from sync.wire import (
-    BODY_BYTES_MAX,
-    HELLO_BYTES_MAX,
-    PATH,
-    SEGMENTS_MAX,
-    HelloAnswer,
-    Problem,
-    SegmentsAnswer,
-    StreamState,
-)
+from sync.wire import BODY_BYTES_MAX, HELLO_BYTES_MAX, SEGMENTS_MAX
+from sync.wire_v1 import PATH, HelloAnswer, Problem, SegmentsAnswer
 
 __all__ = ["Grants", "Limits", "router"]
 
@@ -136,7 +128,7 @@ def _answer(refusal: Refusal) -> Response:
         stream=str(refusal.stream) if refusal.stream else None,
         epoch=refusal.epoch,
         first_sequence=refusal.first_sequence,
-        cursors=tuple(map(StreamState.of, refusal.cursors)),
+        cursors=tuple(cursor_of(key, runs) for key, runs in refusal.held),
     )
     headers = {
         401: {"WWW-Authenticate": "Bearer", "Connection": "close"},

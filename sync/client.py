@@ -19,18 +19,8 @@ from sync.errors import (
     WireError,
 )
 from sync.grants import checked_token
-from sync.wire import (
-    ANSWER_BYTES_MAX,
-    PATH,
-    PROTOCOL,
-    RECORD_TYPE,
-    Hello,
-    HelloAnswer,
-    Problem,
-    SegmentsAnswer,
-    parse,
-    parse_versioned,
-)
+from sync.wire import RECORD_TYPE, parse
+from sync.wire_v1 import ANSWER_BYTES_MAX, PATH, PROTOCOL, Hello, HelloAnswer, Problem, SegmentsAnswer, parse_versioned
 
 
 class Central:

@@ -32,7 +32,8 @@ from sync.errors import (
 from sync.outbox import Capacity, Outbox, Parcel, StreamKey, check_heads, key_of
 from sync.plan import Plan
 from sync.reports import Pace, Status, Step, StreamStatus
-from sync.wire import PROTOCOL, STREAMS_MAX, Hello, SegmentsAnswer, StreamState, program
+from sync.wire import STREAMS_MAX, program
+from sync.wire_v1 import PROTOCOL, Hello, SegmentsAnswer, StreamState
 
 PRODUCER = "sync"
 PRODUCER_VERSION = "1"

@@ -3,7 +3,9 @@
 SyncError
 ├── WireError            bytes or JSON that are not this protocol's
 ├── PlanError            a plan that cannot be used
+├── FilterFailed         a plan's condition cannot be worked out for an event
 ├── GrantError           a token or a table of tokens that cannot be used
+├── BadSignature         a request that is not signed as it must be
 ├── Refusal              central: a request that is refused, with the answer to give
 ├── CentralError         station: central did not do what it was asked
 │   ├── CentralUnreachable   no connection, a connection lost, no answer in time
@@ -21,7 +23,7 @@ SyncError
 from dataclasses import dataclass
 
 from events import StreamName
-from store import StreamHead
+from sync.runs import Run, StreamKey
 
 
 class SyncError(Exception):
@@ -36,8 +38,21 @@ class PlanError(SyncError):
     """A plan that cannot be used."""
 
 
+class FilterFailed(SyncError):
+    """A plan's condition cannot be worked out for an event: a number that overflows, most often."""
+
+
 class GrantError(SyncError):
     """A token or a table of tokens that cannot be used."""
+
+
+class BadSignature(SyncError):
+    """A request that is not signed as it must be."""
+
+    def __init__(self, reason: str, *, key_id: str | None = None, is_key_known: bool = False) -> None:
+        super().__init__(reason)
+        self.key_id = key_id
+        self.is_key_known = is_key_known
 
 
 @dataclass(eq=False)
@@ -53,7 +68,8 @@ class Refusal(SyncError):
     stream: StreamName | None = None
     epoch: int | None = None
     first_sequence: int | None = None
-    cursors: tuple[StreamHead, ...] = ()
+    held: tuple[tuple[StreamKey, tuple[Run, ...]], ...] = ()
+    """what is held of the streams of the request"""
 
     def __str__(self) -> str:
         return f"{self.error}: got {self.got}, wanted {self.wanted}. Next: {self.next}"

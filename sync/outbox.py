@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from events import Segment, StreamName, chain
 from store import ChainBroken, Log, StreamHead
 from sync.errors import Damaged, HeadsDisagree, SegmentRefused
-from sync.wire import encode_records, record_size
+from sync.wire_v1 import encode_records, record_size
 
 StreamKey = tuple[StreamName, int]
 """A stream in one epoch: what has a cursor of its own."""
@@ -148,7 +148,7 @@ def _checked(log: Log, cursor: StreamHead) -> Iterator[Segment]:
 def _stored(log: Log, cursor: StreamHead) -> Iterator[Segment]:
     """The segments from the one at which central stands."""
     try:
-        yield from log.read(cursor.stream, max(cursor.sequence, 1), epoch=cursor.epoch)
+        yield from log.read(cursor.stream, max(cursor.sequence, 1), epoch=cursor.epoch, with_hollow=True)
     except ChainBroken as error:
         raise Damaged(cursor.stream, cursor.epoch, error.first_sequence, error.reason) from error
 

@@ -1,15 +1,18 @@
 """What travels between station and central, to the byte (docs/reference/sync.md).
 
-Contract: `decode_records(encode_record(s))` is the identity but for `position`, which belongs to a
+Contract: `decode_records(encode_records(r))` is the identity but for `position`, which belongs to a
 log; a segment's header and payload travel verbatim. Decoding trusts no length, and needs no
-knowledge of event types. The JSON messages are frozen and refuse what they do not know; a change of
-any of them is another protocol version.
+knowledge of event types. The JSON messages are frozen; a key that is not known is passed over, so that
+the next release may add one, and a key that may be missing has a default.
 
 It does not check hashes: that is the work of whoever stores (`sync.apply`) or sends (`sync.outbox`).
 """
 
+import hashlib
+import json
 import struct
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from importlib.metadata import version
 from typing import Annotated, Self, TypeVar
@@ -27,16 +30,24 @@ from events import (
     station_name,
 )
 from events.segment import PAYLOAD_MAX_BYTES, microseconds
-from store import StreamHead
 from sync.errors import ProtocolMismatch, WireError
+from sync.runs import Run, StreamKey
 
-PROTOCOL = 1
-PATH = "/sync/v1"
+PROTOCOL = 2
+PROTOCOLS = (PROTOCOL,)
+"""Versions that are spoken under this path; release N-1 has a path of its own (`sync.wire_v1`)."""
+PATH = "/sync/v2"
 RECORD_TYPE = "application/vnd.vian.segments"
+ORDER_HEADER = "vian-order"
+"""Number of a request with segments, which the station gives."""
+FOLLOWS_HEADER = "vian-follows"
+"""Number of the request that must be stored before this one, because it goes on where that ends."""
 
-RECORD_MAGIC = b"VIANREC1"
-_PREFIX = struct.Struct(">8sI")
-_MIDDLE = struct.Struct(">32s32sqI")
+RECORD_MAGIC = b"VIANREC2"
+BEGINS_RUN = 1
+NO_PAYLOAD = 2
+_PREFIX = struct.Struct(">8sBI")
+_MIDDLE = struct.Struct(">32s32s32sqI")
 
 HEADER_BYTES_MAX = 131_332
 """A header with the longest names that its layout allows."""
@@ -48,9 +59,13 @@ BODY_BYTES_MAX = RECORD_BYTES_MAX
 SEGMENTS_MAX = 1000
 """Most segments in one body."""
 STREAMS_MAX = 10_000
-"""Most streams in one hello."""
+"""Most streams that a plan may send and a hello may name."""
+CURSORS_MAX = 50_000
+"""Most streams of one station at central, those of earlier epochs included."""
+RUNS_MAX = 100
+"""Most runs of one stream at central that a station makes."""
 HELLO_BYTES_MAX = 4 * 1024 * 1024
-ANSWER_BYTES_MAX = 4 * 1024 * 1024
+ANSWER_BYTES_MAX = 32 * 1024 * 1024
 
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _TEXT_MAX = 4000
@@ -58,33 +73,50 @@ _TEXT_MAX = 4000
 M = TypeVar("M", bound="Message")
 
 
+@dataclass(frozen=True, slots=True)
+class Record:
+    """A segment on its way, with what it follows."""
+
+    segment: Segment
+    previous: bytes
+    """chain hash of the segment before it in its stream; zeros for the first"""
+    begins_run: bool = False
+    """the station knows that central may lack what comes before it, and means it to"""
+
+
 def record_size(segment: Segment) -> int:
     """Bytes of the segment's record."""
     return _PREFIX.size + len(header_bytes(segment.header)) + _MIDDLE.size + len(segment.payload)
 
 
-def encode_record(segment: Segment) -> bytes:
-    """The segment's record."""
+def encode_record(record: Record) -> bytes:
+    """The record's bytes."""
+    segment = record.segment
     header = header_bytes(segment.header)
+    flags = BEGINS_RUN * record.begins_run | NO_PAYLOAD * (not segment.payload)
     return b"".join(
         (
-            _PREFIX.pack(RECORD_MAGIC, len(header)),
+            _PREFIX.pack(RECORD_MAGIC, flags, len(header)),
             header,
             _MIDDLE.pack(
-                segment.payload_hash, segment.chain_hash, microseconds(segment.recorded_at), len(segment.payload)
+                record.previous,
+                segment.payload_hash,
+                segment.chain_hash,
+                microseconds(segment.recorded_at),
+                len(segment.payload),
             ),
             segment.payload,
         )
     )
 
 
-def encode_records(segments: Sequence[Segment]) -> bytes:
-    """The segments' records, one behind the other: a body."""
-    return b"".join(encode_record(segment) for segment in segments)
+def encode_records(records: Iterable[Record]) -> bytes:
+    """The records, one behind the other: a body."""
+    return b"".join(map(encode_record, records))
 
 
-def decode_records(body: bytes, *, bytes_max: int = BODY_BYTES_MAX, segments_max: int = SEGMENTS_MAX) -> list[Segment]:
-    """The segments of a body, one or more; their position is 0, for no log has placed them yet.
+def decode_records(body: bytes, *, bytes_max: int = BODY_BYTES_MAX, segments_max: int = SEGMENTS_MAX) -> list[Record]:
+    """The records of a body, one or more; their position is 0, for no log has placed them yet.
 
     Raises:
         WireError: The body is too large, empty, or not a sequence of whole records.
@@ -93,31 +125,46 @@ def decode_records(body: bytes, *, bytes_max: int = BODY_BYTES_MAX, segments_max
         raise WireError(f"a body has at most {bytes_max} bytes, got {len(body)}")
     if not body:
         raise WireError("a body holds one record or more, got 0 bytes")
-    segments: list[Segment] = []
+    records: list[Record] = []
     at = 0
     while at < len(body):
-        if len(segments) == segments_max:
+        if len(records) == segments_max:
             raise WireError(f"a body holds at most {segments_max} records, got more")
-        place = f"record {len(segments) + 1} at byte {at}"
-        segment, at = _decode_record(body, at, place)
-        segments.append(segment)
-    return segments
+        record, at = _decode_record(body, at, f"record {len(records) + 1} at byte {at}")
+        records.append(record)
+    return records
 
 
-def _decode_record(body: bytes, at: int, place: str) -> tuple[Segment, int]:
-    magic, header_length = _PREFIX.unpack(_part(body, at, _PREFIX.size, place))
+def _decode_record(body: bytes, at: int, place: str) -> tuple[Record, int]:
+    magic, flags, header_length = _PREFIX.unpack(part(body, at, _PREFIX.size, place))
     if magic != RECORD_MAGIC:
         raise WireError(f"{place} must begin with {RECORD_MAGIC!r}, got {magic!r}")
+    if flags & ~(BEGINS_RUN | NO_PAYLOAD):
+        raise WireError(f"{place}: its flags must be of {BEGINS_RUN | NO_PAYLOAD:#04x}, got {flags:#04x}")
     if header_length > HEADER_BYTES_MAX:
         raise WireError(f"{place}: a header has at most {HEADER_BYTES_MAX} bytes, it declares {header_length}")
     at += _PREFIX.size
-    header_data = _part(body, at, header_length, place)
+    header_data = part(body, at, header_length, place)
     at += header_length
-    payload_hash, chain_hash, recorded_us, length = _MIDDLE.unpack(_part(body, at, _MIDDLE.size, place))
+    previous, payload_hash, chain_hash, recorded_us, length = _MIDDLE.unpack(part(body, at, _MIDDLE.size, place))
     at += _MIDDLE.size
     if length > PAYLOAD_BYTES_MAX:
         raise WireError(f"{place}: a payload has at most {PAYLOAD_BYTES_MAX} bytes, it declares {length}")
-    payload = _part(body, at, length, place)
+    if bool(length) == bool(flags & NO_PAYLOAD):
+        raise WireError(f"{place}: its flags say {'no ' * bool(flags & NO_PAYLOAD)}payload, it declares {length} bytes")
+    payload = part(body, at, length, place)
+    segment = segment_of(header_data, payload, payload_hash, chain_hash, recorded_us, place)
+    return Record(segment, previous, bool(flags & BEGINS_RUN)), at + length
+
+
+def segment_of(
+    header_data: bytes, payload: bytes, payload_hash: bytes, chain_hash: bytes, recorded_us: int, place: str
+) -> Segment:
+    """The segment that a record's parts make.
+
+    Raises:
+        WireError: They make none.
+    """
     try:
         header = parse_header(header_data)
         recorded_at = _EPOCH + timedelta(microseconds=recorded_us)
@@ -125,10 +172,15 @@ def _decode_record(body: bytes, at: int, place: str) -> tuple[Segment, int]:
         raise WireError(f"{place}: {error}") from error
     except OverflowError as error:
         raise WireError(f"{place}: recorded_at must lie in the years 1 to 9999, got {recorded_us} µs") from error
-    return Segment(header, payload, payload_hash, chain_hash, Position(0), recorded_at), at + length
+    return Segment(header, payload, payload_hash, chain_hash, Position(0), recorded_at)
 
 
-def _part(body: bytes, at: int, count: int, place: str) -> bytes:
+def part(body: bytes, at: int, count: int, place: str) -> bytes:
+    """So many bytes of a body.
+
+    Raises:
+        WireError: It breaks off before.
+    """
     if count > len(body) - at:
         raise WireError(f"{place} breaks off: {count} bytes wanted at byte {at}, {len(body) - at} are left")
     return body[at : at + count]
@@ -159,7 +211,7 @@ Text = Annotated[str, Field(max_length=_TEXT_MAX)]
 class Message(BaseModel):
     """Base of the JSON messages."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+    model_config = ConfigDict(frozen=True, extra="ignore", strict=True)
 
     def encoded(self) -> bytes:
         """The message as JSON."""
@@ -167,52 +219,156 @@ class Message(BaseModel):
 
 
 class StreamState(Message):
-    """Where one stream stands: a head at the station, a cursor at central."""
+    """Where a stream stands at the station."""
 
     stream: StreamText
     epoch: EpochNumber
     sequence: SequenceNumber
     chain_hash: HashText
 
-    @classmethod
-    def of(cls, head: StreamHead) -> Self:
-        """The state that a log's head of the stream gives."""
-        return cls(stream=str(head.stream), epoch=head.epoch, sequence=head.sequence, chain_hash=head.chain_hash.hex())
 
-    def head(self) -> StreamHead:
-        """The state as a head."""
-        return StreamHead(StreamName.parse(self.stream), self.epoch, self.sequence, bytes.fromhex(self.chain_hash))
+class RunState(Message):
+    """A range of a stream's events that central holds: those behind `after`, up to `sequence`."""
+
+    after: SequenceNumber
+    after_hash: HashText
+    """chain hash at `after`; zeros where that is 0"""
+    sequence: SequenceNumber
+    chain_hash: HashText
+
+    @classmethod
+    def of(cls, run: Run) -> Self:
+        """The message that says the run."""
+        return cls(
+            after=run.after, after_hash=run.after_hash.hex(), sequence=run.sequence, chain_hash=run.chain_hash.hex()
+        )
+
+    def run(self) -> Run:
+        """The run that the message says."""
+        return Run(self.after, bytes.fromhex(self.after_hash), self.sequence, bytes.fromhex(self.chain_hash))
+
+
+class Cursor(Message):
+    """What central holds of one stream: runs, ascending; none where it holds nothing."""
+
+    stream: StreamText
+    epoch: EpochNumber
+    runs: tuple[RunState, ...] = ()
+
+    @classmethod
+    def of(cls, key: StreamKey, runs: Iterable[Run]) -> Self:
+        """The message that says what central holds of the stream."""
+        return cls(stream=str(key.stream), epoch=key.epoch, runs=tuple(map(RunState.of, runs)))
+
+    @property
+    def key(self) -> StreamKey:
+        """Which stream in which epoch."""
+        return StreamKey(StreamName.parse(self.stream), self.epoch)
+
+
+def cursors_hash(held: Iterable[tuple[StreamKey, Sequence[Run]]]) -> str:
+    """SHA-256 of what central holds of a station, in hexadecimal: two that agree in it agree in every cursor."""
+    rows = [
+        [str(key.stream), key.epoch, [[r.after, r.after_hash.hex(), r.sequence, r.chain_hash.hex()] for r in runs]]
+        for key, runs in held
+        if runs
+    ]
+    return hashlib.sha256(json.dumps(sorted(rows), separators=(",", ":")).encode()).hexdigest()
+
+
+class ChallengeRequest(Message):
+    """A station wants to say hello."""
+
+    station: StationText
+
+
+class Challenge(Message):
+    """What the station's hello must be signed over; good once."""
+
+    challenge: Text
+    central: Text
+    """id of central's key"""
+    expires_s: Annotated[float, Field(gt=0)]
 
 
 class Hello(Message):
-    """The station says who it is and where its planned streams stand."""
+    """The station says who it is and where the streams stand of which central may lack something."""
 
-    protocol: int
+    protocols: Annotated[tuple[int, ...], Field(max_length=100)]
+    """versions that it speaks"""
     program: Text
     station: StationText
     epoch: EpochNumber
     time: AwareDatetime
-    streams: Annotated[tuple[StreamState, ...], Field(max_length=STREAMS_MAX)]
+    challenge: Text = ""
+    streams: Annotated[tuple[StreamState, ...], Field(max_length=STREAMS_MAX)] = ()
+    cursors_hash: HashText | None = None
+    """hash of what it believes that central holds; null where it does not know"""
+    checkpoint: SequenceNumber | None = None
+    """sequence of its newest checkpoint that central countersigned"""
+
+
+class Range(Message):
+    """A range of events of one stream, both ends inclusive."""
+
+    stream: StreamText
+    epoch: EpochNumber
+    first_sequence: SequenceNumber
+    last_sequence: SequenceNumber
 
 
 class HelloAnswer(Message):
-    """Central's cursor for each stream of the hello, and what it takes at most."""
+    """What central holds of the station, and what it takes at most."""
 
     protocol: int
     program: Text
     station: StationText
     time: AwareDatetime
-    cursors: Annotated[tuple[StreamState, ...], Field(max_length=STREAMS_MAX)]
+    token: Text = ""
+    token_expires_s: Annotated[float, Field(ge=0)] = 0.0
+    """how long the token is good; 0: no end"""
+    cursors: Annotated[tuple[Cursor, ...], Field(max_length=CURSORS_MAX)] = ()
+    """all streams of the station; none where they are as the station believes"""
+    are_cursors_known: bool = False
+    """central holds what the hello's hash says"""
     body_bytes_max: Annotated[int, Field(ge=1)]
     segments_max: Annotated[int, Field(ge=1)]
+    bits_per_s_max: Annotated[int, Field(ge=1)] | None = None
+    """most that the station may send"""
+    countersigned: HashText | None = None
+    """hash of the station's newest statement that central countersigned"""
+    wanted: Annotated[tuple[Range, ...], Field(max_length=1000)] = ()
+    """ranges that are damaged at central, which it asks the station for"""
 
 
 class SegmentsAnswer(Message):
-    """All segments of the body are durable at central; where each of their streams stands now."""
+    """All segments of the body are durable at central; what it holds of each of their streams now."""
 
-    cursors: tuple[StreamState, ...]
+    cursors: Annotated[tuple[Cursor, ...], Field(max_length=CURSORS_MAX)]
     stored: Annotated[int, Field(ge=0)]
     duplicates: Annotated[int, Field(ge=0)]
+
+
+class CountersignRequest(Message):
+    """The station asks central to countersign one of its checkpoints."""
+
+    epoch: EpochNumber
+    """of the stream of checkpoints"""
+    checkpoint_sequence: Annotated[int, Field(ge=1, le=2**63 - 1)]
+    """of the event checkpoint_signed"""
+
+
+class Countersigned(Message):
+    """Central's signature that it holds what a checkpoint says: the fields of checkpoint_countersigned."""
+
+    of_station: StationText
+    checkpoint_sequence: Annotated[int, Field(ge=1, le=2**63 - 1)]
+    statement_hash: HashText
+    held: str
+    key_id: Text
+    algorithm: Text
+    signature: Annotated[str, Field(pattern=r"^[0-9a-f]{128}$")]
+    time: AwareDatetime
 
 
 class Problem(Message):
@@ -226,13 +382,7 @@ class Problem(Message):
     stream: StreamText | None = None
     epoch: EpochNumber | None = None
     first_sequence: SequenceNumber | None = None
-    cursors: tuple[StreamState, ...] = ()
-
-
-class _Versioned(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="ignore", strict=True)
-
-    protocol: int
+    cursors: tuple[Cursor, ...] = ()
 
 
 def parse(message_type: type[M], data: bytes) -> M:
@@ -244,23 +394,20 @@ def parse(message_type: type[M], data: bytes) -> M:
     try:
         return message_type.model_validate_json(data)
     except ValidationError as error:
-        raise WireError(_reason(message_type.__name__, error)) from error
+        raise WireError(reason(message_type.__name__, error)) from error
 
 
-def parse_versioned(message_type: type[M], data: bytes) -> M:
-    """The message that the JSON holds, if it is of this protocol version.
+def common_protocol(hello: Hello) -> int:
+    """The newest version that both sides speak.
 
     Raises:
-        ProtocolMismatch: It is of another version, whatever else it says.
-        WireError: It is not that message.
+        ProtocolMismatch: There is none.
     """
-    try:
-        protocol = _Versioned.model_validate_json(data).protocol
-    except ValidationError as error:
-        raise WireError(_reason(message_type.__name__, error)) from error
-    if protocol != PROTOCOL:
-        raise ProtocolMismatch(f"sync protocol version {PROTOCOL} is spoken here, got version {protocol}")
-    return parse(message_type, data)
+    common = set(PROTOCOLS) & set(hello.protocols)
+    if not common:
+        spoken, got = (", ".join(map(str, sorted(each))) or "none" for each in (PROTOCOLS, hello.protocols))
+        raise ProtocolMismatch(f"sync protocol version {spoken} is spoken here, got version {got}")
+    return max(common)
 
 
 def program() -> str:
@@ -268,7 +415,8 @@ def program() -> str:
     return f"vian/{version('vian')}"
 
 
-def _reason(name: str, error: ValidationError) -> str:
+def reason(name: str, error: ValidationError) -> str:
+    """What is wrong with a message, in a line."""
     first = error.errors(include_url=False, include_context=False, include_input=False)[0]
-    place = ".".join(str(part) for part in first["loc"])
+    place = ".".join(str(each) for each in first["loc"])
     return f"not a {name}: {f'{place}: ' if place else ''}{first['msg']}"

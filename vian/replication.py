@@ -13,6 +13,7 @@ from events import station_name
 from store import Log
 from sync.daemon import Daemon
 from sync.plan import Plan
+from sync.planning import planned_in
 from sync.reports import Step
 from vian.clock import utc_now
 from vian.errors import WrongUsage
@@ -39,6 +40,18 @@ DEFAULT_PLAN = (
 def load_plan(path: Path | None) -> Plan:
     """The plan of the file, or the default one."""
     return Plan.load(path) if path is not None else Plan.of({"entries": list(DEFAULT_PLAN)}, "default plan")
+
+
+def plan_at_start(log: Log, station: str, path: Path | None, now: Callable[[], datetime] = utc_now) -> Plan:
+    """The plan with which a station begins: the file's, else the one that its log names last, else the default one.
+
+    Raises:
+        PlanError: The file says none, or the log's plan does not read here.
+    """
+    planned = planned_in(log, station_name(station))
+    if path is None and planned is not None:
+        return planned.plan
+    return load_plan(path).resolved(now(), planned.plan if planned else None)
 
 
 @contextmanager

@@ -89,7 +89,7 @@ class Settings(BaseSettings):
     stations_file: HomePath | None = None
     """central server: TOML file with the stations that may replicate, `name = "SHA-256 of its token"`"""
     plan: HomePath | None = None
-    """YAML file of the sync plan: which streams, in which order"""
+    """YAML or TOML file of the sync plan, set at each start of `vian sync`; else the plan that was set last counts"""
     key_file: HomePath | None = None
     """file of the station's key for signatures, made by `vian init`, mode 0600; `station.key` in data_dir by default"""
     sign_every_min: Annotated[float, Field(ge=0)] = 10.0

@@ -83,4 +83,4 @@ def live_source(log: Log, below: Below, position: int, sources: Collection[str] 
 
 def _last_position(log: Log, head: StreamHead) -> int:
     """Position of the stream's newest segment."""
-    return int(next(iter(log.read(head.stream, head.sequence, epoch=head.epoch))).position)
+    return int(next(iter(log.read(head.stream, head.sequence, epoch=head.epoch, with_hollow=True))).position)

@@ -280,7 +280,7 @@ def test_a_role_that_may_make_roles_and_tables_can_set_up_its_own_database(serve
         "create role founder login createrole", f"alter database {name} owner to founder", "create role stranger login"
     )
     # Another server's first user: the roles are not there yet.
-    taken = ("vian_writer", "vian_reader", "vian_archiver")
+    taken = ("vian_writer", "vian_reader", "vian_archiver", "vian_pruner", "vian_field")
     as_founder = sa.make_url(empty).set(username="founder").render_as_string(hide_password=False)
     try:
         for role in taken:
@@ -295,9 +295,9 @@ def test_a_role_that_may_make_roles_and_tables_can_set_up_its_own_database(serve
     finally:
         with psycopg.connect(empty, autocommit=True) as connection:
             connection.execute("drop owned by founder cascade")
-            connection.execute("drop owned by vian_writer, vian_reader, vian_archiver")
+            connection.execute(f"drop owned by {', '.join(taken)}")
             connection.execute(f"alter database {name} owner to postgres")
-            connection.execute("drop role if exists vian_writer, vian_reader, vian_archiver, founder, stranger")
+            connection.execute(f"drop role if exists {', '.join(taken)}, founder, stranger")
         for role in taken:
             server.execute(f"alter role {role}_kept rename to {role}")
 
@@ -320,7 +320,7 @@ def test_an_owner_to_whom_the_roles_of_another_database_are_not_granted_is_told_
     name = sa.make_url(empty).database
     server.execute("create role founder login createrole", f"alter database {name} owner to founder")
     as_founder = sa.make_url(empty).set(username="founder").render_as_string(hide_password=False)
-    step = 'grant vian_writer, vian_reader, vian_archiver to "founder" with admin option'
+    step = 'grant vian_writer, vian_reader, vian_archiver, vian_pruner, vian_field to "founder" with admin option'
     try:
         with pytest.raises(LogUnavailable, match=f"Next: .*as a superuser: {step}$"):
             open_log(dsn=as_founder)

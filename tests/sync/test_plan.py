@@ -30,7 +30,7 @@ def test_a_file_is_read_in_order(tmp_path: Path) -> None:
     plan = Plan.load(path)
 
     assert plan.entries == (
-        Entry(stream="*/*/situation_detected", since="beginning", priority=LANES["situations"]),
+        Entry(stream="*/*/situation_detected", priority=LANES["situations"]),
         Entry(stream="brno-?/cam-[0-9]*/track_point", priority=25),
         Entry(stream="*/gate/[!a]*", priority=LANES["points"]),
     )
@@ -112,16 +112,41 @@ def test_the_canonical_form_says_the_same_plan(entries: list[dict[str, object]])
         ("entries:\n- stream: 7\n", "must be a pattern station/source/type, such as */*/situation_detected; got '7'"),
         ("entries:\n- stream: [a/b/c]\n", "entries[0].stream: Input should be a valid string"),
         (
+            "entries:\n- stream: a/b/c\n  speed: 3\n",
+            "plan.yaml, line 3: entries[0].speed: unknown key; known: stream, from",
+        ),
+        (
             "entries:\n- stream: a/b/c\n  rate: 3\n",
-            "plan.yaml, line 3: entries[0].rate: unknown key; known: stream, from",
+            "plan.yaml, line 3: entries[0].rate: must be a rate such as 800 kbit/s",
+        ),
+        ("entries:\n- stream: a/b/c\n  rate: 0 kbit/s\n", "from 1 kbit/s to 1000 Gbit/s; got '0 kbit/s'"),
+        ("entries:\n- stream: a/b/c\nrate: -1 kbit/s\n", "plan.yaml, line 3: rate: must be a rate"),
+        ("entries:\n- stream: a/b/c\nbacklog_share: half\n", "line 3: backlog_share: must be a number from 0 to 0.9"),
+        ("entries:\n- stream: a/b/c\nbacklog_share: 1\n", "line 3: backlog_share: Input should be less than or equal"),
+        ("entries:\n- stream: a/b/c\npaused: perhaps\n", "line 3: paused: Input should be a valid boolean"),
+        (
+            "entries:\n- stream: a/b/c\n  order: newest\n",
+            "line 3: entries[0].order: Input should be 'live' or 'oldest'",
+        ),
+        ("entries:\n- stream: a/b/c\n  leave_out: vx\n", "entries[0].leave_out: must be a list of fields, such as"),
+        ("entries:\n- {stream: a/b/c, send: false, where: x}\n", "send: false has a stream and nothing else"),
+        ("entries:\n- {stream: a/b/c, now: 2026-01-01T00:00:00Z}\n", "now says which time `from: now` stands for"),
+        ("entries: [{stream: a/b/c}]\ngive_up: all\n", "line 2: give_up: must be a list of {stream, older_than}"),
+        (
+            "entries: [{stream: a/b/c}]\ngive_up: [{stream: a/b/c, age: 1}]\n",
+            "age: unknown key; known: stream, older_than",
+        ),
+        (
+            "entries: [{stream: a/b/c}]\ngive_up: [{stream: a/b/c, older_than: 7}]\n",
+            "give_up[0].older_than: must be a duration such as 7 d, 36 h",
         ),
         ("entries:\n- stream: a/b/c\n  since: beginning\n  from: beginning\n", "line 3"),
         ("entries:\n- priority: alerts\n", "plan.yaml, line 2: entries[0].stream: Field required"),
         (
-            "entries:\n- stream: a/b/c\n  from: now\n",
-            "line 3: entries[0].from: 'now' is not supported yet; wanted: beginning",
+            "entries:\n- stream: a/b/c\n  from: 2026-01-01\n",
+            "line 3: entries[0].from: must be beginning, now, or a time with its zone such as 2026-11-01T00:00:00Z",
         ),
-        ("entries:\n- stream: a/b/c\n  from: 2026-01-01\n", "entries[0].from: '2026-01-01' is not supported yet"),
+        ("entries:\n- stream: a/b/c\n  from: 9999-12-31T23:00:00-08:00\n", "must be beginning, now, or a time"),
         ("entries:\n- stream: a/b/c\n  priority: urgent\n", "priority: must be one of alerts, situations, tracks"),
         ("entries:\n- stream: a/b/c\n  priority: 100\n", "line 3: entries[0].priority"),
         ("entries:\n- stream: a/b/c\n  priority: true\n", "line 3: entries[0].priority"),

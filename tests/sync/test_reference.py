@@ -6,19 +6,8 @@ from pathlib import Path
 import pytest
 
 from sync import LANES, Pace, Plan
-from sync.wire import (
-    HEADER_BYTES_MAX,
-    PAYLOAD_BYTES_MAX,
-    PROTOCOL,
-    RECORD_BYTES_MAX,
-    SEGMENTS_MAX,
-    STREAMS_MAX,
-    Hello,
-    HelloAnswer,
-    Problem,
-    SegmentsAnswer,
-    StreamState,
-)
+from sync.wire import HEADER_BYTES_MAX, PAYLOAD_BYTES_MAX, RECORD_BYTES_MAX, SEGMENTS_MAX, STREAMS_MAX
+from sync.wire_v1 import PROTOCOL, Hello, HelloAnswer, Problem, SegmentsAnswer, StreamState
 
 ROOT = Path(__file__).parents[2]
 TEXT = (ROOT / "docs/reference/sync.md").read_text(encoding="utf-8")

@@ -22,7 +22,7 @@ from vian.errors import WrongUsage
 from vian.options import opened, settings_for
 from vian.output import Output
 from vian.parts import Part, Parts, stepping
-from vian.replication import load_plan, station_daemon, sync_part
+from vian.replication import plan_at_start, station_daemon, sync_part
 from vian.rows import upkeep_part
 from vian.rules import limits_of
 from vian.settings import Settings
@@ -111,7 +111,7 @@ def _parts(stack: ExitStack, log: Log, settings: Settings, role: Role) -> list[P
         if settings.token_file is None:
             raise WrongUsage("sync needs this station's token. Next: give --token-file FILE")
         token = read_token(settings.token_file)
-        plan = load_plan(settings.plan)
+        plan = plan_at_start(log, settings.station, settings.plan)
         daemon = stack.enter_context(station_daemon(log, settings.station, settings.central, token, plan))
         parts.append(sync_part(daemon))
     return parts

@@ -170,7 +170,7 @@ class _Export:
     def _inside(self, wanted: Wanted) -> Iterator[Segment]:
         """The segments that hold what is wanted."""
         last = wanted.ranges[-1][1]
-        segments = self._source.log.read(wanted.stream, wanted.ranges[0][0], epoch=wanted.epoch)
+        segments = self._source.log.read(wanted.stream, wanted.ranges[0][0], epoch=wanted.epoch, with_hollow=True)
         for segment in takewhile(lambda each: each.header.first_sequence <= last, segments):
             if _is_wanted(segment, wanted):
                 yield segment
@@ -181,7 +181,7 @@ class _Export:
         last = max(_signed(bracket.end, wanted), wanted.ranges[-1][1])
         with self._open(path) as file:
             file.write(SEGMENTS_MAGIC)
-            for segment in self._source.log.read(wanted.stream, first, epoch=wanted.epoch):
+            for segment in self._source.log.read(wanted.stream, first, epoch=wanted.epoch, with_hollow=True):
                 if segment.header.first_sequence > last:
                     break
                 is_whole = _is_wanted(segment, wanted)
@@ -199,7 +199,7 @@ class _Export:
         if path not in self._orders:
             with self._open(path) as file:
                 file.write(ORDER_MAGIC + struct.pack(">Q", first))
-                for segment in self._source.log.read_all(first, to_position=last):
+                for segment in self._source.log.read_all(first, to_position=last, with_hollow=True):
                     file.write(struct.pack(">q", microseconds(segment.recorded_at)) + segment.chain_hash)
             self._orders[path] = {
                 "first_position": first,

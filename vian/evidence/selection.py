@@ -145,7 +145,7 @@ def _bounds(log: Log, head: StreamHead, since: int | datetime | None, until: int
     begin, end = since if isinstance(since, datetime) else None, until if isinstance(until, datetime) else None
     hits = [
         sequence
-        for segment in log.read(head.stream, first, epoch=head.epoch)
+        for segment in log.read(head.stream, first, epoch=head.epoch, with_hollow=True)
         if segment.header.first_sequence <= last
         if (begin is None or segment.header.time_max >= begin) and (end is None or segment.header.time_min < end)
         for sequence, time in _times(log, segment)
@@ -224,7 +224,7 @@ def _want_origin(log: Log, selection: Selection, wanted: Wanted) -> None:
 def _producers(log: Log, wanted: Wanted) -> tuple[set[tuple[str, str]], tuple[int, int]]:
     """Name and version of who said the events, and the positions of the first and the last segment."""
     producers, positions = set(), []
-    for segment in log.read(wanted.stream, wanted.ranges[0][0], epoch=wanted.epoch):
+    for segment in log.read(wanted.stream, wanted.ranges[0][0], epoch=wanted.epoch, with_hollow=True):
         if segment.header.first_sequence > wanted.ranges[-1][1]:
             break
         producers.add((segment.header.producer.name, segment.header.producer.version))

@@ -1,0 +1,155 @@
+"""`vian sync plan`: which streams this station sends to central; what a change would mean, and the change itself."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from events import Station, station_name
+from store import Log
+from sync.plan import Plan
+from sync.plan_values import time_text
+from sync.planning import Planned, planned_in, set_plan
+from vian import options
+from vian.clock import utc_now
+from vian.errors import WorldFailed
+from vian.options import opened, settings_for
+from vian.output import Output
+from vian.replication import load_plan
+from vian.settings import Settings
+
+app = typer.Typer(help="Choose which streams go to central, from when on, in which order.", no_args_is_help=True)
+
+PlanFile = Annotated[Path, typer.Argument(metavar="FILE", help="The plan, YAML; TOML if its name ends in .toml.")]
+
+
+@app.command(epilog="Example: vian sync plan show")
+def show(
+    data_dir: options.DataDir = None,
+    dsn: options.Dsn = None,
+    station: options.Station = None,
+    as_json: options.Json = False,
+) -> None:
+    """Show the plan that counts: the one that was set last, or the default one while none was."""
+    with _at(data_dir, dsn, station) as (_, log, name):
+        planned = planned_in(log, name)
+    output = Output(is_json=as_json)
+    plan = load_plan(None) if planned is None else planned.plan
+    if output.is_json:
+        output.result(_said(planned, plan))
+        return
+    output.note("no plan was set yet: this is the default one" if planned is None else f"set at {planned.time}")
+    output.table("", ("", "stream", "what", "from", "priority", "order", "rate", "where", "leave out"), _rows(plan))
+    for line in _whole(plan):
+        output.line(line)
+
+
+@app.command(name="set", epilog="Example: vian sync plan set plan.yaml")
+def set_(
+    file: PlanFile,
+    data_dir: options.DataDir = None,
+    dsn: options.Dsn = None,
+    station: options.Station = None,
+    as_json: options.Json = False,
+) -> None:
+    """Set the plan; a daemon that runs takes it up at once, also while a request is on its way."""
+    plan = Plan.load(file)
+    output = Output(is_json=as_json)
+    with _at(data_dir, dsn, station) as (settings, log, name):
+        planned = _set(log, settings, name, plan)
+    if settings.plan is not None and settings.plan.resolve() != file.resolve():
+        output.note(f"vian sync and vian serve set {settings.plan} at their next start, for the settings name it")
+    if planned.plan.paused:
+        output.note("the plan is paused: nothing is sent. Next: vian sync plan resume")
+    output.result(_said(planned, planned.plan), f"set: {len(plan.entries)} entries, {planned.plan_hash[:16]}")
+
+
+@app.command(epilog="Example: vian sync plan pause")
+def pause(
+    data_dir: options.DataDir = None,
+    dsn: options.Dsn = None,
+    station: options.Station = None,
+    as_json: options.Json = False,
+) -> None:
+    """Send nothing until `vian sync plan resume`; the plan stays as it is otherwise."""
+    _set_paused(True, data_dir, dsn, station, Output(is_json=as_json))
+
+
+@app.command(epilog="Example: vian sync plan resume")
+def resume(
+    data_dir: options.DataDir = None,
+    dsn: options.Dsn = None,
+    station: options.Station = None,
+    as_json: options.Json = False,
+) -> None:
+    """Go on sending, from where central stands."""
+    _set_paused(False, data_dir, dsn, station, Output(is_json=as_json))
+
+
+def _set_paused(is_paused: bool, data_dir: Path | None, dsn: str | None, station: str | None, output: Output) -> None:
+    with _at(data_dir, dsn, station) as (settings, log, name):
+        present = planned_in(log, name)
+        plan = load_plan(None) if present is None else present.plan
+        planned = _set(log, settings, name, plan.model_copy(update={"paused": is_paused}))
+    output.result(_said(planned, planned.plan), "paused" if is_paused else "goes on")
+
+
+@contextmanager
+def _at(data_dir: Path | None, dsn: str | None, station: str | None) -> Iterator[tuple[Settings, Log, Station]]:
+    """Settings, log and name of this station, for the length of the block.
+
+    Raises:
+        WorldFailed: The log is another station's.
+    """
+    settings = settings_for(data_dir, dsn, station=station)
+    name = station_name(settings.station)
+    with opened(settings, data_dir=data_dir) as log:
+        stations = sorted({head.stream.station for head in log.streams()})
+        if stations and name not in stations:
+            raise WorldFailed(
+                f"this log has no streams of station {name}, but of {', '.join(stations[:5])}. "
+                f"Next: give --station {stations[0]}"
+            )
+        yield settings, log, name
+
+
+def _set(log: Log, settings: Settings, station: Station, plan: Plan) -> Planned:
+    present = planned_in(log, station)
+    central = settings.central or (present.central if present else "")
+    return set_plan(log, station, plan, central.rstrip("/"), utc_now())
+
+
+def _said(planned: Planned | None, plan: Plan) -> dict[str, object]:
+    data: dict[str, object] = plan.said()
+    if planned is not None:
+        data |= {"set_at": planned.time, "central": planned.central, "plan_hash": planned.plan_hash}
+    return data
+
+
+def _rows(plan: Plan) -> list[tuple[object, ...]]:
+    rows: list[tuple[object, ...]] = []
+    for number, entry in enumerate(plan.entries):
+        if not entry.sends:
+            rows.append((number, entry.stream, "stays", *[None] * 6))
+            continue
+        begin = entry.begin if isinstance(entry.begin, str) else time_text(entry.begin)
+        since = f"{begin} ({time_text(entry.now)})" if entry.now else begin
+        what = f"filtered ~{entry.filter_hash}" if entry.is_derived and (entry.begin != "now" or entry.now) else "sent"
+        rate = None if entry.rate_bps is None else f"{entry.rate_bps} bit/s"
+        left_out = ", ".join(entry.leave_out)
+        rows.append((number, entry.stream, what, since, entry.priority, entry.order, rate, entry.where, left_out))
+    return rows
+
+
+def _whole(plan: Plan) -> Iterator[str]:
+    """What the plan says of all its entries together."""
+    if plan.paused:
+        yield "paused: nothing is sent. Next: vian sync plan resume"
+    yield "rate: " + ("no limit" if plan.rate_bps is None else f"{plan.rate_bps} bit/s")
+    yield f"backlog gets at least {plan.backlog_share:.0%} while live traffic goes on"
+    for entry in plan.give_up:
+        yield f"when the disk is full: {entry.stream} older than {entry.older_than}"
+    if not plan.give_up:
+        yield "when the disk is full: recording stops, nothing may be given up"
