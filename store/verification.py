@@ -16,13 +16,14 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from time import monotonic
 
-from events import Segment
+from events import EventError, Segment
+from store import absence
 from store.audit import Audit, Covered
 from store.errors import UNKNOWN, ChainBroken, SealedFileDamaged
 from store.log import Log
 from store.sealed import SealedFile
 from store.verified import Verified
-from store.walk import pages
+from store.walk import Walk, pages
 
 _SAVE_SECONDS = 5.0
 
@@ -43,6 +44,10 @@ class Verification:
     """Up to here an earlier run had found the log sound; it was not read again."""
     covered: tuple[Covered, ...] = ()
     """What signatures cover."""
+    hollow: int = 0
+    """segments without payload, of those read now: pruned or lost"""
+    unrecorded: int = 0
+    """ranges of other stations' segments without payload of which their records have not come yet"""
     verified: Verified | None = field(default=None, compare=False, repr=False)
     """Where the next run can begin; None when the log is not sound."""
 
@@ -97,6 +102,9 @@ def verify(
     for head in heads:
         walk.check_head(head)
     walk.faults += [fault for fault in outdated if fault.stream not in walk.broken]
+    missing = _unrecorded(log, walk, station)
+    foreign = [each for each in missing if each.stream.station != station and station is not None]
+    walk.faults += [each for each in missing if each not in foreign and each.stream not in walk.broken]
     files = log.archive.files()
     walk.faults += _changed_files(log, files, start.digested, walk.faults)
     digested = max((file.last_position for file in files), default=0)
@@ -108,8 +116,21 @@ def verify(
         walk.all_broken(),
         start.position,
         audit.covered(),
+        walk.hollow_segments,
+        len(foreign),
         Verified.of(walk, audit.trails, digested) if walk.is_sound else None,
     )
+
+
+def _unrecorded(log: Log, walk: Walk, station: str | None) -> list[ChainBroken]:
+    """What has no payload though nothing says why; as much of it as the records that can be read tell."""
+    try:
+        return [
+            absence.fault(place, span, walk.hollow_at.get((place, span[0])))
+            for place, span in absence.unrecorded(log, walk.hollow, station)
+        ]
+    except (ChainBroken, EventError):
+        return []  # the walk came by and says so
 
 
 def _changed_files(

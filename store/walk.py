@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 
-from events import GENESIS, Segment, StreamName, chain
+from events import GENESIS, Header, Segment, StreamName, chain
 from events.segment import microseconds
 from store.errors import UNKNOWN, ChainBroken, SealedFileDamaged
 from store.log import Log, StreamHead
@@ -53,6 +53,11 @@ class Walk:
     """The holes that a stream misses."""
     broken: dict[StreamName, ChainBroken] = field(default_factory=dict)
     """The first break of each broken stream."""
+    hollow: dict[Place, list[tuple[int, int]]] = field(default_factory=dict)
+    """First and last sequence of the ranges without payload, of each stream."""
+    hollow_at: dict[tuple[Place, int], int] = field(default_factory=dict)
+    """Position of the first segment of each of these ranges, by its first sequence."""
+    hollow_segments: int = 0
     faults: list[ChainBroken] = field(default_factory=list)
     """What is wrong with no stream in particular: order, signatures, sealed files."""
 
@@ -80,6 +85,18 @@ class Walk:
         )
         self.segments += 1
         self.events += header.event_count
+        if not segment.has_payload:
+            self._take_hollow(header, segment.position)
+
+    def _take_hollow(self, header: Header, position: int) -> None:
+        self.hollow_segments += 1
+        place = (header.stream, header.epoch)
+        spans = self.hollow.setdefault(place, [])
+        if spans and spans[-1][1] + 1 == header.first_sequence:
+            spans[-1] = (spans[-1][0], header.last_sequence)
+        else:
+            spans.append((header.first_sequence, header.last_sequence))
+            self.hollow_at[place, header.first_sequence] = position
 
     def take_unreadable(self, broken: ChainBroken) -> None:
         """Go to a segment that cannot be read."""
