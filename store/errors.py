@@ -3,6 +3,7 @@
 StoreError
 ├── LogUnavailable       the database cannot be started or reached, or went away
 │   ├── WrongMajor       the data directory belongs to another major version of PostgreSQL
+│   ├── DiskNearlyFull   the log's disk has less room than must stay free
 │   └── ArchiveUnavailable  the place of the sealed files cannot be reached
 ├── DatabaseDamaged      PostgreSQL finds that its own files do not hold what it wrote
 ├── SchemaMismatch       the database's schema is newer than this program, or not ours
@@ -36,6 +37,10 @@ class LogUnavailable(StoreError):
 
 class WrongMajor(LogUnavailable):
     """The data directory belongs to another major version of PostgreSQL."""
+
+
+class DiskNearlyFull(LogUnavailable):
+    """The log's disk has less room than must stay free: nothing was recorded, and it goes on when there is room."""
 
 
 class ArchiveUnavailable(LogUnavailable):

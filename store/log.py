@@ -25,7 +25,7 @@ from psycopg_pool import ConnectionPool, PoolTimeout
 from events import GENESIS, Base, Catalogue, Draft, EventType, Place, Position, Run, Segment, StreamName, load_catalogue
 from store.coldtier import ColdTier
 from store.embedded import EmbeddedServer
-from store.errors import UNKNOWN, BadRequest, ChainBroken, DatabaseDamaged, LogUnavailable, StoreError
+from store.errors import UNKNOWN, BadRequest, ChainBroken, DatabaseDamaged, DiskNearlyFull, LogUnavailable, StoreError
 from store.reading import (
     Filter,
     TimeOrNone,
@@ -38,6 +38,7 @@ from store.reading import (
     stream_query,
 )
 from store.resending import acknowledged
+from store.room import Room
 from store.schema import migrate, safe_dsn
 from store.standing import BASES, RUNS, STANDING, Standing, StreamHead, base_of, runs_of, standing_of
 from store.writing import APPEND, Appended, PlaceIsSealed, append_answer, append_error, append_parameters
@@ -70,10 +71,11 @@ class Transaction:
     one transaction may wait in a circle with another writer (one of the two is then LogUnavailable).
     """
 
-    def __init__(self, connection: psycopg.Connection[Any], epoch: int, archive: ColdTier) -> None:
+    def __init__(self, connection: psycopg.Connection[Any], epoch: int, archive: ColdTier, room: Room) -> None:
         self.connection = connection
         self._epoch = epoch
         self._archive = archive
+        self._room = room
 
     def append(
         self,
@@ -83,6 +85,7 @@ class Transaction:
         epochs: Sequence[int] | None = None,
         chain_hashes: Sequence[bytes] | None = None,
         bases: Sequence[bytes | None] | None = None,
+        from_reserve: bool = False,
     ) -> list[Appended]:
         """Append the drafts, in this order, and say where each came to stand.
 
@@ -96,12 +99,16 @@ class Transaction:
             epochs: For each draft the epoch of its stream; this log's own by default.
             chain_hashes: For each draft the chain hash that must come out; a replica gives it.
             bases: For each draft the chain hash before it, if it may begin a new run where nothing is yet.
+            from_reserve: Append though the disk is nearly full: for the few events that lead to room.
 
         Raises:
+            DiskNearlyFull: The log's disk has less room than must stay free.
             SequenceConflict: A stream stands elsewhere, or holds other bytes there.
             ChainBroken: A chain hash comes out different, or is not the one that the run above was begun behind.
             BadRequest: The lists differ in length, an expected sequence is negative, or a base is none.
         """
+        if not from_reserve:
+            self._room.require()
         appended = _append(
             self.connection, self._epoch, drafts, expected, epochs, chain_hashes, bases, sealed_is_compared=True
         )
@@ -199,6 +206,7 @@ class Log:
             open=False,
         )
         self.archive = ColdTier(self._fetched, server.data_dir if server else None)
+        self.room = Room(self._fetched, server.data_dir if server else None)
         self._sealed_position = 0
         """As far as is known; it only grows."""
         self._pool.open()
@@ -229,7 +237,7 @@ class Log:
                 transaction may then have been committed or not: append again with `expected`.
         """
         with self.connection() as connection, connection.transaction():
-            yield Transaction(connection, self.epoch, self.archive)
+            yield Transaction(connection, self.epoch, self.archive, self.room)
 
     @contextmanager
     def connection(self) -> Iterator[psycopg.Connection[Any]]:
@@ -245,6 +253,8 @@ class Log:
                     yield connection
             finally:
                 self._pool.putconn(connection)
+        except DiskNearlyFull:
+            raise
         except LogUnavailable as error:
             raise LogUnavailable(f"{error}{self._room()}") from error
         except PoolTimeout as error:
@@ -285,16 +295,26 @@ class Log:
         epochs: Sequence[int] | None = None,
         chain_hashes: Sequence[bytes] | None = None,
         bases: Sequence[bytes | None] | None = None,
+        from_reserve: bool = False,
     ) -> list[Appended]:
         """Append the drafts in a transaction of their own and one round trip; see `Transaction.append`."""
+        if not from_reserve:
+            self.room.require()
         with self.connection() as connection:
             try:
                 return _append(connection, self.epoch, drafts, expected, epochs, chain_hashes, bases)
             except PlaceIsSealed:
                 # Nothing was stored. The comparison with the file must come before the commit.
                 with connection.transaction():
-                    transaction = Transaction(connection, self.epoch, self.archive)
-                    return transaction.append(drafts, expected, epochs=epochs, chain_hashes=chain_hashes, bases=bases)
+                    transaction = Transaction(connection, self.epoch, self.archive, self.room)
+                    return transaction.append(
+                        drafts,
+                        expected,
+                        epochs=epochs,
+                        chain_hashes=chain_hashes,
+                        bases=bases,
+                        from_reserve=from_reserve,
+                    )
 
     def read(
         self, stream: StreamName, from_sequence: int = 1, *, epoch: int | None = None, with_hollow: bool = False
