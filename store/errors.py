@@ -97,8 +97,15 @@ class SequenceConflict(StoreError):
     actual: int
     stored_hash: str | None = None
     sent_hash: str | None = None
+    until: int | None = None
+    """what was sent reaches beyond this sequence, behind which the stream is here already"""
 
     def __str__(self) -> str:
+        if self.until is not None:
+            return (
+                f"stream {self.stream} is here from sequence {self.until + 1} on: "
+                f"what was sent behind sequence {self.expected} reaches beyond {self.until}"
+            )
         if self.stored_hash is not None:
             return (
                 f"stream {self.stream} already holds other bytes after sequence {self.expected}: "
