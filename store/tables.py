@@ -308,6 +308,6 @@ def projection_table(event_type: type[EventType], into: sa.MetaData) -> sa.Table
         postgresql_partition_by="RANGE (time)",
     )
     if name in _LOOKED_UP:
-        key = sa.literal_column(_LOOKED_UP[name]).label("key")
+        key: Any = sa.literal_column(_LOOKED_UP[name]).label("key")
         sa.Index(f"{name}_key", key, table.c.time, postgresql_ops={"key": "text_pattern_ops"})
     return table

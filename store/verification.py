@@ -137,6 +137,16 @@ def verify(
     )
 
 
+def gaps_in(runs: Mapping[Place, list[Run]]) -> Iterator[Gap]:
+    """The gaps before and between the runs of streams."""
+    for (stream, epoch), each in runs.items():
+        last = 0
+        for run in each:
+            if run.after > last:
+                yield Gap(stream, epoch, last + 1, run.after)
+            last = run.sequence
+
+
 def _unrecorded(log: Log, walk: Walk, station: str | None) -> list[ChainBroken]:
     """What has no payload though nothing says why; as much of it as the records that can be read tell."""
     try:
@@ -146,16 +156,6 @@ def _unrecorded(log: Log, walk: Walk, station: str | None) -> list[ChainBroken]:
         ]
     except (ChainBroken, EventError):
         return []  # the walk came by and says so
-
-
-def gaps_in(runs: Mapping[Place, list[Run]]) -> Iterator[Gap]:
-    """The gaps before and between the runs of streams."""
-    for (stream, epoch), each in runs.items():
-        last = 0
-        for run in each:
-            if run.after > last:
-                yield Gap(stream, epoch, last + 1, run.after)
-            last = run.sequence
 
 
 def _changed_files(
