@@ -62,7 +62,7 @@ CATCH_UP_S_MAX = 120.0
 QUIET_S = 2.0
 """An appender that acknowledges nothing for so long waits for room."""
 
-_POLL_S = 0.005
+_POLL_S = 0.01
 
 
 @dataclass(slots=True)
@@ -349,15 +349,16 @@ class Campaign:
             GaveUp: It does not.
         """
         deadline = time.monotonic() + CATCH_UP_S_MAX
-        while missing := {key: last for key, last in wanted.items() if self._held(key) < last}:
+        while missing := self._missing(wanted):
             if time.monotonic() > deadline:
                 raise GaveUp(f"central does not catch up: it lacks {missing}; daemons said {self.tally.steps}")
             self._listen(_POLL_S)
 
-    def _held(self, key: StreamKey) -> int:
-        """Up to where central holds all of a stream."""
-        stream, epoch = key
-        return int(persistently(self._central, lambda: self._central.stream_head(stream, epoch=epoch)).sequence)
+    def _missing(self, wanted: dict[StreamKey, int]) -> dict[StreamKey, int]:
+        """What of it central does not hold yet, by where its streams stand."""
+        heads = persistently(self._central, self._central.streams)
+        held = {(head.stream, head.epoch): head.sequence for head in heads}
+        return {key: last for key, last in wanted.items() if held.get(key, 0) < last}
 
     def _heads_here(self) -> dict[StreamKey, int]:
         heads = persistently(self._station, self._station.streams)
@@ -445,6 +446,8 @@ class Campaign:
             self._note(words)
         for daemon in self._daemons:
             self._note_steps(daemon)
+            if not daemon.is_running:
+                raise GaveUp("the daemon ended by itself")
 
     def _note(self, words: Any) -> None:
         if isinstance(words, str):
