@@ -355,9 +355,9 @@ class Campaign:
             self._listen(_POLL_S)
 
     def _missing(self, wanted: dict[StreamKey, int]) -> dict[StreamKey, int]:
-        """What of it central does not hold yet, by where its streams stand."""
-        heads = persistently(self._central, self._central.streams)
-        held = {(head.stream, head.epoch): head.sequence for head in heads}
+        """What of it central does not hold yet, by how far each stream has come without a gap."""
+        runs = persistently(self._central, self._central.all_runs)
+        held = {key: first.sequence for key, (first, *_) in runs.items() if not first.after}
         return {key: last for key, last in wanted.items() if held.get(key, 0) < last}
 
     def _heads_here(self) -> dict[StreamKey, int]:
