@@ -46,7 +46,7 @@ from tests.faults.sync_load import (
 )
 from tests.store.disks import fill, small_disk
 from tests.store.samples import owner
-from tests.store.servers import kill_server, postmaster
+from tests.store.servers import end_servers, kill_server, postmaster
 from tests.sync.proxy import CALM, CUTS, OF_EXCHANGES, Proxy, Weather
 
 StreamKey = tuple[StreamName, int]
@@ -151,6 +151,8 @@ class Campaign:
         self._link.close()
         self._station.close()
         self._central.close()
+        for data_dir in (self._station_dir, self._central_dir, self._folder):
+            end_servers(data_dir)
 
     def round(self, *kinds: str) -> None:
         """Let the load run for a random while, let these things happen at once, and see central catch up."""
