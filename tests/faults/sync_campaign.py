@@ -178,7 +178,10 @@ class Campaign:
         self._appender.kill()
         self._hear()
         self._link.weather = CALM
-        self._caught_up(self._heads_here())
+        heads: dict[StreamKey, int] = {}
+        while heads != (heads := self._heads_here()):  # what the killed one had begun may still be committed
+            self._caught_up(heads)
+            self._listen(LOAD_S_MAX)
         self.tally.link = self._link.counts
         self._check_new()
         self._check_whole()
@@ -388,10 +391,9 @@ class Campaign:
         for name, log in (("station", self._station), ("central", self._central)):
             found = persistently(log, lambda log=log: verify(log))  # type: ignore[misc]
             self._expect(found.is_sound, f"the log of {name} does not verify: {list(map(str, found.broken[:3]))}")
-        for key, wanted in self._heads_here().items():
+        for key in self._heads_here():
             here, there = (_content(log, key) for log in (self._station, self._central))
             self._expect(here == there, f"{key}: {len(here)} segments here, {len(there)} at central, or other bytes")
-            self._count_lost(key, wanted)
         for key, acknowledged in self._ledger.items():
             self._count_lost(key, acknowledged)
         for key, segments in self._past.items():
