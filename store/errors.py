@@ -3,6 +3,7 @@
 StoreError
 ├── LogUnavailable       the database cannot be started or reached, or went away
 │   ├── WrongMajor       the data directory belongs to another major version of PostgreSQL
+│   ├── DiskNearlyFull   the log's disk has less room than must stay free
 │   └── ArchiveUnavailable  the place of the sealed files cannot be reached
 ├── DatabaseDamaged      PostgreSQL finds that its own files do not hold what it wrote
 ├── SchemaMismatch       the database's schema is newer than this program, or not ours
@@ -36,6 +37,10 @@ class LogUnavailable(StoreError):
 
 class WrongMajor(LogUnavailable):
     """The data directory belongs to another major version of PostgreSQL."""
+
+
+class DiskNearlyFull(LogUnavailable):
+    """The log's disk has less room than must stay free: nothing was recorded, and it goes on when there is room."""
 
 
 class ArchiveUnavailable(LogUnavailable):
@@ -92,8 +97,15 @@ class SequenceConflict(StoreError):
     actual: int
     stored_hash: str | None = None
     sent_hash: str | None = None
+    until: int | None = None
+    """what was sent reaches beyond this sequence, behind which the stream is here already"""
 
     def __str__(self) -> str:
+        if self.until is not None:
+            return (
+                f"stream {self.stream} is here from sequence {self.until + 1} on: "
+                f"what was sent behind sequence {self.expected} reaches beyond {self.until}"
+            )
         if self.stored_hash is not None:
             return (
                 f"stream {self.stream} already holds other bytes after sequence {self.expected}: "

@@ -16,6 +16,8 @@ import psycopg
 
 from store.errors import LogUnavailable, QuestionFailed, QuestionTooDear
 from store.log import Log
+from store.projector import BEHIND
+from store.projector import NAME as PROJECTOR
 
 VIEW_PREFIX = "field_"
 """Begins the name of the view of a table for questions from the field."""
@@ -72,16 +74,16 @@ class FieldSession:
             QuestionTooDear: It would cost more than it may.
         """
         names = ", ".join(f"c{number}" for number in range(columns))
+        # Offset 0 keeps PostgreSQL from making each line twice.
         query = (
-            f"select case when octet_length(line) <= {bytes_max} then line end from (select cast(json_build_array({names}) "
-            f"as text) as line from ({select}) as asked ({names})) as told"
+            f"select case when octet_length(line) <= {bytes_max} then line end from "
+            f"(select cast(json_build_array({names}) as text) as line from ({select}) as asked ({names}) offset 0) as t"
         )
         with self._told():
-            cursor = self._connection.cursor("question")
-            cursor.execute(query.encode(), parameters)
+            self._connection.execute(f"declare question no scroll cursor for {query}".encode(), parameters)
         while True:
             with self._told():
-                rows = cursor.fetchmany(batch)
+                rows = self._connection.execute(f"fetch forward {batch} from question".encode()).fetchall()
             for (line,) in rows:
                 yield line
             if len(rows) < batch:
@@ -116,43 +118,88 @@ class FieldSession:
 
 
 @contextmanager
+def read_session(
+    log: Log, cost: Cost | None = None, monotonic: Callable[[], float] = time.monotonic
+) -> Iterator[FieldSession]:
+    """A session that reads, as the log's own role, for a SELECT of our own that says itself whose rows it wants.
+
+    Raises:
+        LogUnavailable: The database is away.
+    """
+    most = cost or Cost()
+    with _transaction(log) as connection:
+        connection.execute(_limits(most, has_disk=_may_bound_disk(connection)).encode())
+        connection.execute("set transaction read only")
+        yield FieldSession(connection, most, monotonic)
+
+
+@contextmanager
 def field_session(
     log: Log,
     stations: Sequence[str] | None,
     cost: Cost | None = None,
     monotonic: Callable[[], float] = time.monotonic,
 ) -> Iterator[FieldSession]:
-    """A session that reads what these stations recorded, all stations for None; it leaves nothing behind.
+    """A session for what others ask: it reads what these stations recorded, all stations for None.
 
     Raises:
         LogUnavailable: The database is away, or this account may not act as `vian_field`.
     """
     most = cost or Cost()
-    with log.connection() as connection, connection.transaction(force_rollback=True):
+    with _transaction(log) as connection:
         connection.execute(
             "insert into field_callers (transaction, stations) "
             "values (cast(cast(pg_current_xact_id() as text) as bigint), %s)",
             (None if stations is None else list(stations),),
         )
+        connection.execute(_limits(most, has_disk=_may_bound_disk(connection)).encode())
         try:
-            connection.execute(_limits(most, has_disk=_may_bound_disk(connection)).encode())
+            connection.execute("set local role vian_field")
         except psycopg.errors.InsufficientPrivilege as error:
             raise LogUnavailable(
                 f"this account of the database may not answer questions from the field: {error}. "
                 "Next: as the database's owner, grant vian_field to this account"
             ) from error
+        connection.execute("set transaction read only")
         yield FieldSession(connection, most, monotonic)
 
 
-def field_tables(log: Log) -> dict[str, str]:
-    """The tables that a question may name, with the view that answers for each.
+@contextmanager
+def _transaction(log: Log) -> Iterator[psycopg.Connection[Any]]:
+    with log.connection() as connection, connection.transaction(force_rollback=True):
+        yield connection
+
+
+def field_tables(log: Log) -> dict[str, tuple[str, ...]]:
+    """The tables that a question may name, each with its columns; the view that answers has `VIEW_PREFIX` before.
 
     Raises:
         LogUnavailable: The database is away.
     """
     with log.connection() as connection:
-        names = [name for (name,) in connection.execute("select name from projections order by name")]
-    return {name: VIEW_PREFIX + name for name in [*names, "events", "streams"]}
+        rows = connection.execute(
+            "select n.name, array_agg(cast(a.attname as text) order by a.attnum) "
+            "from (select name from projections union all values ('events'), ('streams')) as n "
+            "join pg_attribute a on a.attrelid = to_regclass(quote_ident(%s || n.name)) "
+            "where a.attnum > 0 and not a.attisdropped group by n.name order by n.name",
+            (VIEW_PREFIX,),
+        ).fetchall()
+    return {name: tuple(columns) for name, columns in rows}
+
+
+def rows_position(log: Log) -> int:
+    """Position up to which all rows are there: what was stored behind it does not answer yet.
+
+    Raises:
+        LogUnavailable: The database is away.
+    """
+    with log.connection() as connection:
+        row = connection.execute(
+            "select coalesce(min(position), 0) from checkpoints where name = %s or starts_with(name, %s)",
+            (PROJECTOR, BEHIND),
+        ).fetchone()
+    assert row is not None, "an aggregate has one row"
+    return int(row[0])
 
 
 def _may_bound_disk(connection: psycopg.Connection[Any]) -> bool:
@@ -162,7 +209,7 @@ def _may_bound_disk(connection: psycopg.Connection[Any]) -> bool:
 
 
 def _limits(cost: Cost, *, has_disk: bool) -> str:
-    """What makes the rest of the transaction a question's."""
+    """What bounds the rest of the transaction."""
     disk = [f"set local temp_file_limit = '{cost.disk_mb}MB'"] if has_disk else []
     return "; ".join(
         [
@@ -172,7 +219,5 @@ def _limits(cost: Cost, *, has_disk: bool) -> str:
             f"set local lock_timeout = {int(cost.lock_seconds * 1000)}",
             "set local max_parallel_workers_per_gather = 0",  # one question, one processor
             "set local jit = off",
-            "set local role vian_field",
-            "set transaction read only",
         ]
     )

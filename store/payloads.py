@@ -3,15 +3,16 @@
 Contract: header, hashes, position and time of recording of a segment never change here, so chains, order and
 signatures verify as before. Nothing is decided here: which payloads go, and how that is recorded, is the caller's,
 who appends the record in the very transaction that takes them off. `put_back` takes only the bytes that the stored
-hash names. Of segments in sealed files nothing is taken off here (`store.resealing`).
+hash names, `repair` only what the segments beside it demand. Segments in sealed files stay as they are.
 
 It runs as the role `vian_pruner`, the only one that may.
 """
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import datetime
+from typing import LiteralString
 
 import psycopg
 
@@ -30,6 +31,7 @@ from events import (
     RuleMissed,
     RuleRetired,
     SceneChanged,
+    Segment,
     SegmentsPruned,
     SegmentsRepaired,
     StageDeployed,
@@ -134,15 +136,88 @@ def put_back(transaction: Transaction, position: int, payload: bytes) -> None:
         transaction.connection.execute("select restore_payload(%s, %b::bytea)", (position, payload))
 
 
+def repair(transaction: Transaction, repaired: Mapping[int, Segment]) -> None:
+    """Write damaged segments that are in PostgreSQL anew, headers included, each at its position.
+
+    Raises:
+        BadRequest: They do not follow what is before them, or are not what comes after them demands.
+        LogUnavailable: The account may not.
+    """
+    headers = [segment.header for segment in repaired.values()]
+    with _as_pruner(transaction):
+        transaction.connection.execute(
+            "select repair_segments(%s::bigint[], %s::bigint[], %s::int[], %s::int[], %s::timestamptz[], "
+            "%s::timestamptz[], %s::text[], %s::text[], %b::bytea[], %b::bytea[], %b::bytea[], %b::bytea[])",
+            (
+                list(repaired),
+                [header.first_sequence for header in headers],
+                [header.event_count for header in headers],
+                [header.schema_version for header in headers],
+                [header.time_min for header in headers],
+                [header.time_max for header in headers],
+                [header.producer.name for header in headers],
+                [header.producer.version for header in headers],
+                [header.producer.configuration_hash for header in headers],
+                [segment.payload for segment in repaired.values()],
+                [segment.payload_hash for segment in repaired.values()],
+                [segment.chain_hash for segment in repaired.values()],
+            ),
+        )
+
+
+def place_at(log: Log, position: int) -> tuple[StreamName, int, int, int] | None:
+    """Whose segment PostgreSQL has at a position, though it may be damaged; None where it has none.
+
+    Returns:
+        Stream, epoch, the sequence behind the segment of the stream that was taken before it, and the first sequence
+        that the segment's own row says.
+    """
+    with log.connection() as connection:
+        row = connection.execute(
+            "select s.station, s.source, s.type, s.epoch, coalesce("
+            "(select b.first_sequence + b.event_count from segments b where b.stream_id = g.stream_id "
+            "and b.position < g.position order by b.position desc limit 1), "
+            "(select max(r.last_sequence) + 1 from sealed_ranges r where r.stream_id = g.stream_id), 1), "
+            "g.first_sequence from segments g join streams s on s.id = g.stream_id where g.position = %s",
+            (position,),
+        ).fetchone()
+    return (StreamName(*row[:3]), *row[3:]) if row else None
+
+
+def next_position(log: Log, position: int) -> int | None:
+    """The position of the segment in PostgreSQL that the stream of the one at a position took next."""
+    with log.connection() as connection:
+        row = connection.execute(
+            "select min(n.position) from segments g join segments n on n.stream_id = g.stream_id "
+            "and n.position > g.position where g.position = %s",
+            (position,),
+        ).fetchone()
+    return row[0] if row else None
+
+
 def reclaim(log: Log) -> None:
     """Let the log use the room of what was taken off again; what lies at the tables' ends goes back to the disk.
 
     Raises:
         LogUnavailable: The database is away.
     """
+    _maintain(log, "vacuum segments")
+
+
+def shrink(log: Log) -> None:
+    """Let PostgreSQL give up what it keeps of its own log beyond need, where the account may ask for that.
+
+    Raises:
+        LogUnavailable: The database is away.
+    """
+    with suppress(psycopg.errors.InsufficientPrivilege):  # it does so by itself, a little later
+        _maintain(log, "checkpoint")
+
+
+def _maintain(log: Log, command: LiteralString) -> None:
     try:
         with psycopg.connect(log.dsn, autocommit=True) as connection:
-            connection.execute("vacuum segments")
+            connection.execute(command)
     except psycopg.OperationalError as error:
         raise LogUnavailable(f"the database is away: {error}".strip()) from error
 

@@ -6,6 +6,7 @@ SyncError
 ├── FilterFailed         a plan's condition cannot be worked out for an event
 ├── GrantError           a token or a table of tokens that cannot be used
 ├── BadSignature         a request that is not signed as it must be
+├── SelectRefused        SQL that a station may not ask
 ├── Refusal              central: a request that is refused, with the answer to give
 ├── CentralError         station: central did not do what it was asked
 │   ├── CentralUnreachable   no connection, a connection lost, no answer in time
@@ -53,6 +54,10 @@ class BadSignature(SyncError):
         super().__init__(reason)
         self.key_id = key_id
         self.is_key_known = is_key_known
+
+
+class SelectRefused(SyncError):
+    """SQL that a station may not ask: what, and where."""
 
 
 @dataclass(eq=False)

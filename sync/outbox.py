@@ -8,11 +8,10 @@ It knows no network. It keeps open readers between requests, so that a backlog i
 any doubt they must be forgotten.
 """
 
-import hashlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from events import Segment, StreamName, chain
+from events import Segment, StreamName, fault_behind
 from store import ChainBroken, Log, StreamHead
 from sync.errors import Damaged, HeadsDisagree, SegmentRefused
 from sync.wire_v1 import encode_records, record_size
@@ -163,17 +162,9 @@ def _check_cursor(segment: Segment, cursor: StreamHead) -> None:
 
 def _check_segment(segment: Segment, sequence: int, chain_hash: bytes) -> None:
     """Nothing, if the segment is whole and follows that sequence with that chain hash."""
-    header = segment.header
-    payload_hash = hashlib.sha256(segment.payload).digest()
-    if header.first_sequence != sequence + 1:
-        reason = f"it follows sequence {sequence}, so it must begin at {sequence + 1}"
-    elif payload_hash != segment.payload_hash:
-        reason = f"the payload's hash is {payload_hash.hex()}, recorded was {segment.payload_hash.hex()}"
-    elif chain(chain_hash, header, payload_hash) != segment.chain_hash:
-        reason = "its chain hash does not follow from the segment before and its header"
-    else:
-        return
-    raise Damaged(header.stream, header.epoch, header.first_sequence, reason)
+    reason = fault_behind(segment, sequence, chain_hash)
+    if reason is not None:
+        raise Damaged(segment.stream, segment.header.epoch, segment.header.first_sequence, reason)
 
 
 def _check_size(segment: Segment, size: int, bytes_max: int) -> None:

@@ -27,6 +27,7 @@ from events import (
 )
 from store import Log, StreamHead
 from store.payloads import Freed, Weight, may_leave, reclaim, take_off, weights
+from store.room import CREDIT, credit_state
 
 SOURCE = "sync"
 PRODUCER = Producer("pruner", "1", sha256(b"{}").digest())
@@ -218,8 +219,10 @@ def bounded(chosen: Sequence[Weight]) -> list[Weight]:
     return lot
 
 
-def take_off_held(log: Log, station: Station, lot: Sequence[Weight], held: Held, now: datetime) -> Freed:
-    """Take off what central holds, and record it; nothing where another was faster."""
+def take_off_held(
+    log: Log, station: Station, lot: Sequence[Weight], held: Held, now: datetime, *, credit: int | None = None
+) -> Freed:
+    """Take off what central holds, and record it; see `take_off_recorded`."""
     events = [
         SegmentsPruned(
             time=now,
@@ -233,17 +236,33 @@ def take_off_held(log: Log, station: Station, lot: Sequence[Weight], held: Held,
         )
         for span in spans_of(lot)
     ]
-    return take_off_recorded(log, station, lot, events)
+    return take_off_recorded(log, station, lot, events, credit=credit)
 
 
-def take_off_recorded(log: Log, station: Station, lot: Sequence[Weight], events: Sequence[EventType]) -> Freed:
-    """Take the lot off and record the events in one transaction; nothing of both where another was faster."""
+def take_off_recorded(
+    log: Log, station: Station, lot: Sequence[Weight], events: Sequence[EventType], *, credit: int | None = None
+) -> Freed:
+    """Take the lot off and record the events in one transaction; nothing of both where another was faster.
+
+    Args:
+        log: The log.
+        station: Whose log it is.
+        lot: What is to go.
+        events: What is said of it.
+        credit: Bytes that were taken off before and not used again, where these are counted (`store.room`).
+
+    Raises:
+        LogUnavailable: The database is away, or the account may not.
+    """
+    at = log.head()
     try:
         with log.transaction() as transaction:
             freed = take_off(transaction, [each.position for each in lot])
             if freed.segments != len(lot):
                 raise _Overtaken
-            transaction.append([record_of(station, events)])
+            if credit is not None:
+                transaction.save_checkpoint(CREDIT, at, credit_state(credit + freed.payload_bytes))
+            transaction.append([record_of(station, events)], from_reserve=True)
     except _Overtaken:
         return Freed(0, 0)
     return freed

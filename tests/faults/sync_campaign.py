@@ -16,6 +16,7 @@ import shutil
 import signal
 import socket
 import statistics
+import subprocess
 import sys
 import tempfile
 import time
@@ -124,7 +125,7 @@ class Campaign:
         self._station_dir = station_dir or folder / "station-1"
         self._central_dir = central_dir or folder / "central-1"
         for each in (self._station_dir, self._central_dir):
-            open_log(data_dir=each).close()
+            self._make_log(each)
         self._station = opened(self._station_dir)
         self._central = opened(self._central_dir)
         self._port = _free_port()
@@ -246,7 +247,7 @@ class Campaign:
         self._central.close()
         self._backups += 1
         self._central_dir = self._folder / f"central-{self._backups + 1}"
-        open_log(data_dir=self._central_dir).close()
+        self._make_log(self._central_dir)
         server = EmbeddedServer(self._central_dir)
         restore(server.dsn, folder)
         server.close()
@@ -266,7 +267,7 @@ class Campaign:
         self._station.close()
         self._remember(epoch)
         self._station_dir = self._folder / f"station-{epoch + 1}"
-        open_log(data_dir=self._station_dir).close()
+        self._make_log(self._station_dir)
         with opened(self._station_dir) as log, owner(log) as connection:
             connection.execute("update log_head set epoch = %s", (epoch + 1,))
         self._station = opened(self._station_dir)
@@ -406,6 +407,13 @@ class Campaign:
             self.tally.wrong.append(f"round {sum(map(len, self.tally.recovery_s.values()))}: {otherwise}")
 
     # Processes.
+
+    def _make_log(self, data_dir: Path) -> None:
+        """An empty log: a copy of one that is made once, owners included."""
+        empty = self._folder / "empty"
+        if not empty.exists():
+            open_log(data_dir=empty).close()
+        subprocess.run(["cp", "-a", empty, data_dir], check=True)
 
     def _seed(self) -> int:
         return self._choose.randrange(2**32)

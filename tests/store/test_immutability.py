@@ -56,7 +56,7 @@ def test_the_reader_sees_rows_and_stream_heads_and_changes_nothing(log: Log) -> 
             "select * from segments",
             "select * from checkpoints",
             "delete from track_point",
-            "select append_segments(" + ", ".join(["null"] * 19) + ")",
+            "select append_segments(" + ", ".join(["null"] * 20) + ")",
             "select ensure_partition('track_point', '2026-01-01')",
         ):
             with pytest.raises(psycopg.errors.InsufficientPrivilege):

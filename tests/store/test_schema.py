@@ -348,8 +348,9 @@ def test_a_role_that_may_make_nothing_is_told_what_to_do(server: Server, empty: 
 def test_a_log_of_before_keeps_its_rows_and_gets_what_is_new(empty: str, monkeypatch: pytest.MonkeyPatch) -> None:
     run(empty, command.upgrade, "0003")
     with Log(empty, Catalogue.shipped()) as log, monkeypatch.context() as before:
-        # The append function of then did not ask whether sealed files are compared.
-        before.setattr(log_module, "APPEND", APPEND.removesuffix(", %s)") + ") where %s::boolean is not null")
+        # The append function of then did not ask whether sealed files are compared, and knew no bases.
+        asked = APPEND.removesuffix(", %s, %b::bytea[])") + ") where %s::boolean is not null and %b::bytea[] is null"
+        before.setattr(log_module, "APPEND", asked)
         append(log, GATE, 2)
         log.append([encode(YARD, points(7, 7), PRODUCER)], epochs=[2])
         log.append([draft_of(ProcessFinished(time=NOON, process="p", frames=1, events=1, gaps=0))])

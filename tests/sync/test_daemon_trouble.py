@@ -292,7 +292,7 @@ def test_other_streams_go_on_when_one_is_stopped(
 
 DAMAGES = {
     "update segments set payload = set_byte(payload, 9, get_byte(payload, 9) # 1) where first_sequence = 4": "hash",
-    "update segments set producer_version = '2' where first_sequence = 4": "its chain hash does not follow",
+    "update segments set producer_version = '2' where first_sequence = 4": "its header was changed",
     "update segments set first_sequence = 5 where first_sequence = 4": "must begin at 4",
     "update segments set time_min = time_max + interval '1 s' where first_sequence = 4": "time_min",
 }

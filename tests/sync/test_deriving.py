@@ -168,7 +168,11 @@ class Killed(Exception):
 @settings(max_examples=12, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 @given(st.data())
 def test_any_steps_kills_and_plans_give_what_filtering_at_once_gives(make_log: MakeLog, data: st.DataObject) -> None:
-    log = make_log()
+    with make_log() as log:
+        _any_steps(log, data)
+
+
+def _any_steps(log: Log, data: st.DataObject) -> None:
     entries = [filtered("track_id in (1, 4)"), filtered("frame % 3 = 1", "*/*/track_point")]
     plans = {}
     derivers = [Deriver(log, BRNO), Deriver(log, BRNO)]
