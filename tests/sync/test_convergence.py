@@ -17,6 +17,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, ru
 from events import Station, station_name
 from store import Log, verify
 from sync import Daemon, Grants, Pace, Step, SyncError, token_hash
+from sync.client import Central
 from tests.sync.conftest import (
     EVERYTHING,
     NOON,
@@ -63,8 +64,7 @@ class Link(RuleBasedStateMachine):
             self.station_log,
             self.station,
             EVERYTHING,
-            self.client,
-            token=token_of(self.station),
+            Central(self.client, None),
             now=lambda: NOON,
             random=random.Random(3).random,
             pace=self.pace,

@@ -19,6 +19,7 @@ from sync import (
     ProtocolMismatch,
     Refused,
 )
+from sync.client_v1 import CentralV1
 from tests.sync.conftest import (
     BRNO,
     EVERYTHING,
@@ -388,7 +389,7 @@ def test_a_client_that_times_out_is_reported(station_log: Log, make_daemon: Make
 def test_an_address_without_a_scheme_is_reported(station_log: Log, make_daemon: MakeDaemon) -> None:
     with httpx.Client(base_url="central.example") as client:
         daemon = Daemon(
-            station_log, BRNO, EVERYTHING, client, token="sixteen-letters-x", now=lambda: NOON, random=lambda: 0.5
+            station_log, BRNO, EVERYTHING, CentralV1(client, "sixteen-letters-x"), now=lambda: NOON, random=lambda: 0.5
         )
         with pytest.raises(CentralUnreachable, match=r"http://"):
             daemon.catch_up()
