@@ -7,7 +7,7 @@ FLINK := .flink
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test nightly faults flink flink-test lint types contracts wheel-check clean
+.PHONY: help demo test nightly faults faults-sync flink flink-test lint types contracts wheel-check clean
 
 help:  ## what can be made
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 16
@@ -34,6 +34,9 @@ nightly: $(VENV)/installed  ## 100,000 random cases of the laws of patterns
 
 faults: $(VENV)/installed  ## kills, stops, flipped bits and a full disk under load; FAULTS_ARGS="--rounds 20 --seed 1"
 	$(BIN)/python -m tests.faults.campaign $(FAULTS_ARGS)
+
+faults-sync: $(VENV)/installed  ## the same between a station and central; FAULTS_SYNC_ARGS="--rounds 20 --seed 1"
+	$(BIN)/python -m tests.faults.sync_campaign $(FAULTS_SYNC_ARGS)
 
 $(FLINK)/installed: pyproject.toml
 	@java -version > /dev/null 2>&1 || { echo "Flink needs Java 17, and there is no java. Next: install a JRE"; exit 2; }

@@ -6,6 +6,7 @@ package imports none of ViAn's others, knows no database and no network.
 
 from events.camera import CameraCalibrated, SceneChanged, ZoneDefined, ZoneRemoved
 from events.catalogue import SHIPPED, Catalogue, load_catalogue
+from events.chains import Base, Chains, Fault, Place, Run, fault_behind
 from events.columns import EventBatch, batch_of, batch_of_type, events_of, schema_of, with_envelope
 from events.door import Allowed, allowed
 from events.errors import (
@@ -77,8 +78,10 @@ __all__ = [
     "ActivityInterval",
     "Allowed",
     "AtDoor",
+    "Base",
     "CameraCalibrated",
     "Catalogue",
+    "Chains",
     "CheckpointCountersigned",
     "CheckpointSigned",
     "CorruptSegment",
@@ -86,6 +89,7 @@ __all__ = [
     "EventBatch",
     "EventError",
     "EventType",
+    "Fault",
     "Finite32",
     "Float32",
     "GroupSeen",
@@ -102,6 +106,7 @@ __all__ = [
     "PersonalBytes",
     "PersonalJson",
     "PersonalText",
+    "Place",
     "PlateRead",
     "Position",
     "ProcessFailed",
@@ -115,6 +120,7 @@ __all__ = [
     "RuleDeployedV1",
     "RuleMissed",
     "RuleRetired",
+    "Run",
     "SceneChanged",
     "Segment",
     "SegmentsPruned",
@@ -148,6 +154,7 @@ __all__ = [
     "decode",
     "encode",
     "events_of",
+    "fault_behind",
     "header_bytes",
     "load_catalogue",
     "parse_header",

@@ -15,6 +15,7 @@ from store.errors import (
     BadRequest,
     ChainBroken,
     DatabaseDamaged,
+    DiskNearlyFull,
     LogUnavailable,
     SchemaMismatch,
     SealedFileDamaged,
@@ -25,13 +26,14 @@ from store.errors import (
 )
 from store.journal import Journal
 from store.keys import StationKey, keys_of_others, known_keys, load_key, make_key
-from store.log import Checkpoint, Log, StreamHead, Transaction, open_log
+from store.log import Checkpoint, Log, Transaction, open_log
 from store.projector import Projector
 from store.proof import SignedCheckpoint, Statement, key_id
 from store.restoring import Restore, note_restored, restore, verify_restored
 from store.sealing import Sealer
 from store.shared import SharedAppender, Stored
 from store.signing import Signer
+from store.standing import Standing, StreamHead
 from store.subscription import Delivery, Subscription
 from store.upkeep import RowPolicy, RowTable, Upkeep, maintain, row_tables
 from store.verification import Verification, verify
@@ -52,6 +54,7 @@ __all__ = [
     "Covered",
     "DatabaseDamaged",
     "Delivery",
+    "DiskNearlyFull",
     "Journal",
     "Log",
     "LogUnavailable",
@@ -66,6 +69,7 @@ __all__ = [
     "SharedAppender",
     "SignedCheckpoint",
     "Signer",
+    "Standing",
     "Statement",
     "StationKey",
     "StoreError",

@@ -10,14 +10,14 @@ the caller knows it. With keys known to the caller, a station's own first key mu
 """
 
 from collections import deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from datetime import datetime
 
-from events import CheckpointSigned, EventError, Segment, Sequence, Station, StreamName, decode, events_of
+from events import CheckpointSigned, EventError, Place, Run, Segment, Sequence, Station, StreamName, decode, events_of
 from store.errors import BadProof, ChainBroken
 from store.keys import is_signed
-from store.log import Log, StreamHead
+from store.log import Log
 from store.proof import (
     NO_HASH,
     NO_KEY,
@@ -28,7 +28,8 @@ from store.proof import (
     statement_bytes,
     statement_hash,
 )
-from store.walk import At, Place, Walk
+from store.standing import StreamHead
+from store.walk import Walk
 
 _RECENT = 64
 """Segments of a replicated stream whose chain hashes are remembered until the station's checkpoint comes."""
@@ -50,8 +51,8 @@ class Trail:
     """position, in the station's own log, that the newest one signed"""
     signed_at: datetime | None = None
     checkpoints: int = 0
-    heads: dict[Place, tuple[int, bytes]] = field(default_factory=dict)
-    """signed heads that were found in this log"""
+    heads: dict[Place, dict[int, bytes]] = field(default_factory=dict)
+    """signed heads that were found in this log, the newest of each run: sequence and chain hash"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,6 +82,7 @@ class Audit:
         walk: Walk,
         end: int,
         heads: list[StreamHead],
+        runs: Mapping[Place, Iterable[Run]],
         station: str | None,
         trusted: Mapping[str, bytes],
         trails: Mapping[str, Trail],
@@ -92,6 +94,7 @@ class Audit:
             walk: The walk that it accompanies.
             end: The last position of the walk.
             heads: The heads of all streams.
+            runs: What of them is here at the end of the walk.
             station: The station whose log this is.
             trusted: Public keys that are known, by key id.
             trails: How far each station's checkpoints were checked before.
@@ -101,6 +104,7 @@ class Audit:
         self._end = end
         self._trusted = trusted
         self.trails = dict(trails)
+        self._runs = runs
         self._own = station
         self._signing = {head.stream.station for head in heads if _is_checkpoints(head.stream)}
         self._recent: dict[Place, deque[tuple[int, bytes]]] = {}
@@ -149,11 +153,17 @@ class Audit:
                 signed_at=trail.signed_at,
                 position=trail.position if trail.station == self._own else None,
                 streams=len(trail.heads),
-                events=sum(sequence for sequence, _ in trail.heads.values()),
+                events=sum(self._events_below(*head) for head in trail.heads.items()),
             )
             for _, trail in sorted(self.trails.items())
             if trail.signed_at is not None
         )
+
+    def _events_below(self, place: Place, signed: Mapping[int, bytes]) -> int:
+        """How many events of a stream signed heads cover."""
+        runs = self._walk.chains.runs.get(place, ())
+        newest = (max((each for each in signed if run.after < each <= run.sequence), default=run.after) for run in runs)
+        return sum(sequence - run.after for sequence, run in zip(newest, runs, strict=True))
 
     def _own_checkpoints(self, heads: list[StreamHead]) -> Iterator[tuple[Segment, SignedCheckpoint]]:
         """The log's own checkpoints that were not checked yet, life by life of the station."""
@@ -192,12 +202,25 @@ class Audit:
         trail = self.trails[statement.station]
         if statement.position == self._walk.position:
             self._compare_order(place, checkpoint)
-            signed = {(head.stream, head.epoch) for head in statement.heads}
-            for name, epoch in self._walk.streams.keys() - signed:
-                self._fault_of_head(StreamHead(name, epoch, 0, NO_HASH), checkpoint, "did not sign it at all")
+            self._check_all_signed(checkpoint)
         for head in statement.heads:
             self._compare(head, checkpoint, trail)
         self._last_signed = trail.position = statement.position
+
+    def _check_all_signed(self, checkpoint: SignedCheckpoint) -> None:
+        """Report what is here of streams, at the signed position, and was not signed."""
+        signed: dict[Place, list[int]] = {}
+        for head in checkpoint.statement.heads:
+            signed.setdefault((head.stream, head.epoch), []).append(head.sequence)
+        for place, runs in self._walk.chains.runs.items():
+            for run in runs:
+                if place not in signed:
+                    what = "did not sign it at all"
+                elif not any(run.after < sequence <= run.sequence for sequence in signed[place]):
+                    what = f"did not sign its sequences {run.after + 1} to {run.sequence}"
+                else:
+                    continue
+                self._fault_of_head(StreamHead(*place, run.sequence, run.chain_hash), checkpoint, what)
 
     def _compare_order(self, place: Segment, checkpoint: SignedCheckpoint) -> None:
         """Compare the order hash; from here on the walk goes by what was signed."""
@@ -222,22 +245,25 @@ class Audit:
     def _compare(self, head: StreamHead, checkpoint: SignedCheckpoint, trail: Trail) -> None:
         """Compare a signed head with this log, now or when the stream has come so far."""
         place = (head.stream, head.epoch)
-        if trail.heads.get(place) == (head.sequence, head.chain_hash):
+        if trail.heads.get(place, {}).get(head.sequence) == head.chain_hash:
             return
-        at = self._walk.streams.get(place, At())
-        if head.sequence == at.sequence:
-            self._compare_head(StreamHead(*place, at.sequence, at.chain_hash), head.chain_hash, checkpoint)
-        elif head.sequence < at.sequence:
+        run = self._walk.chains.below(place, head.sequence)
+        if head.sequence == run.sequence:
+            self._compare_head(StreamHead(*place, run.sequence, run.chain_hash), head.chain_hash, checkpoint)
+        elif head.sequence < run.sequence:
             self._compare_head(self._stood_at(head, checkpoint), head.chain_hash, checkpoint)
         elif trail.station == self._own:
-            self._fault_of_head(head, checkpoint, f"signed {head.sequence} events, {at.sequence} are here")
-        else:
+            self._fault_of_head(head, checkpoint, f"signed {head.sequence} events, {run.sequence} are here")
+        elif self._is_coming(place, head.sequence):
             self._awaited.setdefault(place, {})[head.sequence] = (head.chain_hash, checkpoint)
+
+    def _is_coming(self, place: Place, sequence: int) -> bool:
+        """Whether the walk will reach an event that is not here yet: in a gap it does not."""
+        return any(run.after < sequence <= run.sequence for run in self._runs.get(place, ()))
 
     def _compare_head(self, head: StreamHead, signed: bytes, checkpoint: SignedCheckpoint) -> None:
         if head.chain_hash == signed:
-            trail = self.trails[checkpoint.statement.station]
-            trail.heads[head.stream, head.epoch] = (head.sequence, head.chain_hash)
+            self._found(head, self.trails[checkpoint.statement.station])
             return
         self._fault_of_head(
             head,
@@ -245,9 +271,23 @@ class Audit:
             f"signed the chain hash {signed.hex()} at {head.sequence}, here is {head.chain_hash.hex()}",
         )
 
+    def _found(self, head: StreamHead, trail: Trail) -> None:
+        """Keep a signed head; of each run the newest counts."""
+        place = (head.stream, head.epoch)
+        run = self._walk.chains.below(place, head.sequence)
+        found = {**trail.heads.get(place, {}), head.sequence: head.chain_hash}
+        newest = max(each for each in found if run.after < each <= run.sequence)
+        trail.heads[place] = {
+            each: chain_hash
+            for each, chain_hash in found.items()
+            if each == newest or not run.after < each <= run.sequence
+        }
+
     def _stood_at(self, head: StreamHead, checkpoint: SignedCheckpoint) -> StreamHead:
         """The stream in this log where it ended with the signed sequence; a hash of zeros where it never did."""
-        if checkpoint.statement.station == self._own:
+        of_stream = [each for each in checkpoint.statement.heads if each.stream == head.stream]
+        newest = max(each.sequence for each in of_stream if each.epoch == head.epoch)
+        if checkpoint.statement.station == self._own and head.sequence == newest:
             at_position = checkpoint.statement.position
             return self._log.stream_head(head.stream, epoch=head.epoch, at_position=at_position)
         for sequence, chain_hash in self._recent.get((head.stream, head.epoch), ()):
@@ -258,7 +298,7 @@ class Audit:
         return StreamHead(head.stream, head.epoch, head.sequence, segment.chain_hash if segment and is_end else NO_HASH)
 
     def _fault_of_head(self, head: StreamHead, checkpoint: SignedCheckpoint, what: str) -> None:
-        at = self._walk.streams.get((head.stream, head.epoch), At())
+        at = self._walk.end((head.stream, head.epoch))
         reason = f"checkpoint {checkpoint.sequence} of station {checkpoint.statement.station} {what}"
         self._walk.broken.setdefault(head.stream, ChainBroken(head.stream, at.position or None, head.sequence, reason))
 

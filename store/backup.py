@@ -8,16 +8,18 @@ way, so damage does not creep into a backup. Why this and not pg_dump: docs/deci
 
 import shutil
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-from events import GENESIS, Segment, StreamName, chain
+from events import GENESIS, Base, Chains, Segment
 from store import backup_files as files
-from store.backup_files import Head, Manifest
+from store.backup_files import BegunBehind, Head, Manifest
 from store.errors import UNKNOWN, BackupUnusable, ChainBroken
+from store.following import follow
 from store.log import Log
 from store.maintenance import BACKED_UP, note
+from store.standing import STANDING, Standing, standing_of
 
 SPARE_BYTES = 32 * 2**20
 """Room that a backup leaves on its disk."""
@@ -36,37 +38,14 @@ class Backup:
 class _Moment:
     """Where everything stood at one moment."""
 
-    position: int
     epoch: int
     recorded_at: datetime
     checkpoints: list[tuple[str, int, bytes]]
-    streams: dict[tuple[StreamName, int], tuple[int, bytes]]
+    standing: Standing
 
-
-@dataclass(slots=True)
-class Chains:
-    """Checks segments that come in order of position: each must follow its stream's head."""
-
-    heads: dict[tuple[StreamName, int], tuple[int, bytes]] = field(default_factory=dict)
-
-    def check(self, segment: Segment) -> None:
-        """Take the segment as its stream's head.
-
-        Raises:
-            ChainBroken: It is not what its hashes say, or does not follow.
-        """
-        header, key = segment.header, (segment.header.stream, segment.header.epoch)
-        sequence, previous = self.heads.get(key, (0, GENESIS))
-        if not segment.is_payload_whole:
-            reason = "its payload does not have the hash that was recorded"
-        elif header.first_sequence != sequence + 1:
-            reason = f"it follows sequence {sequence}, so it must begin at {sequence + 1}"
-        elif chain(previous, header, segment.payload_hash) != segment.chain_hash:
-            reason = "its chain hash does not follow from the segment before and its header"
-        else:
-            self.heads[key] = (header.last_sequence, segment.chain_hash)
-            return
-        raise ChainBroken(header.stream, segment.position, header.first_sequence, reason)
+    @property
+    def position(self) -> int:
+        return self.standing.position
 
 
 def back_up(log: Log, folder: Path, on_segment: Callable[[Segment], None] | None = None) -> Backup:
@@ -160,18 +139,14 @@ def _moment(log: Log) -> _Moment:
     """Head, streams and checkpoints in one snapshot: a checkpoint never speaks of output that is not there."""
     with log.connection() as connection, connection.transaction():
         connection.execute("set transaction isolation level repeatable read read only")
-        head = connection.execute("select position, epoch, recorded_at from log_head").fetchone()
+        head = connection.execute("select epoch, recorded_at from log_head").fetchone()
         assert head is not None, "a log has its one row"
         checkpoints = connection.execute(
             "select name, position, state from checkpoints order by name", binary=True
         ).fetchall()
-        streams = connection.execute(
-            "select station, source, type, epoch, sequence, chain_hash from streams order by id", binary=True
-        ).fetchall()
-    position, epoch, recorded_at = head
-    return _Moment(
-        position, epoch, recorded_at, checkpoints, {(StreamName(*row[:3]), row[3]): (row[4], row[5]) for row in streams}
-    )
+        standing = standing_of(connection.execute(STANDING, binary=True))
+    epoch, recorded_at = head
+    return _Moment(epoch, recorded_at, checkpoints, standing)
 
 
 def _add_segments(
@@ -194,7 +169,8 @@ def _add_segments(
         streams=(),
     )
     begun_at = manifest.position
-    chains = Chains({head.key: (head.sequence, bytes.fromhex(head.chain_hash)) for head in manifest.streams})
+    bases = [base for base in moment.standing.bases if base.position > begun_at]
+    chains = Chains(manifest.runs, bases)
     last: list[Segment] = []
     segments = _checked(
         log.read_all(begun_at + 1, to_position=moment.position, with_hollow=True), chains, begun_at, last, on_segment
@@ -211,7 +187,8 @@ def _add_segments(
                 "recorded_at": last[0].recorded_at,
                 "segments": (*manifest.segments, file),
                 "checkpoints": None,
-                "streams": tuple(_heads(chains.heads.items())),
+                "streams": tuple(Head.of(place, run) for place, runs in chains.runs.items() for run in runs),
+                "bases": tuple(BegunBehind.of(base) for base in _begun(moment.standing, file.last_position)),
             }
         )
         files.write_manifest(folder, manifest, files.UNFINISHED)
@@ -223,10 +200,24 @@ def _add_segments(
             0,
             f"the log ends at position {manifest.position}, its head says {moment.position}",
         )
-    if chains.heads != {key: head for key, head in moment.streams.items() if head[0]}:
-        wrong = next(key for key, head in moment.streams.items() if chains.heads.get(key) != head)
-        raise ChainBroken(wrong[0], None, moment.streams[wrong][0], "the stream's head is not that of its last segment")
+    _check_ends(chains, moment.standing)
     return manifest, manifest.position - begun_at
+
+
+def _begun(standing: Standing, position: int) -> list[Base]:
+    """The bases that are known at a position, in order."""
+    begun = (base for base in standing.bases if base.position <= position)
+    return sorted(begun, key=lambda base: base.position)
+
+
+def _check_ends(chains: Chains, moment: Standing) -> None:
+    """Nothing, if the segments end where the log says that its streams stand."""
+    if chains.runs == moment.runs and not chains.not_begun():
+        return
+    places = [*moment.runs, *chains.runs, *(base.place for base in chains.not_begun())]
+    wrong = next((each for each in places if chains.runs.get(each) != moment.runs.get(each)), places[-1])
+    newest = max((run.sequence for run in moment.runs.get(wrong, ())), default=0)
+    raise ChainBroken(wrong[0], None, newest, "its head or its bases are not those of its segments")
 
 
 def _checked(
@@ -242,17 +233,12 @@ def _checked(
             header = segment.header
             reason = f"position {position + 1} is missing before it"
             raise ChainBroken(header.stream, segment.position, header.first_sequence, reason)
-        chains.check(segment)
+        follow(chains, segment)
         position = segment.position
         last[:] = [segment]
         yield segment
         if on_segment is not None:
             on_segment(segment)
-
-
-def _heads(heads: Iterable[tuple[tuple[StreamName, int], tuple[int, bytes]]]) -> Iterator[Head]:
-    for (stream, epoch), (sequence, chain_hash) in heads:
-        yield Head(stream=str(stream), epoch=epoch, sequence=sequence, chain_hash=chain_hash.hex())
 
 
 def _check_room(folder: Path) -> None:

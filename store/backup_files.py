@@ -10,12 +10,12 @@ import os
 from collections.abc import Iterable, Iterator
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
 import pyarrow as pa
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from events import CorruptSegment, Position, Segment, StreamName
+from events import GENESIS, Base, CorruptSegment, Place, Position, Run, Segment, StreamName
 from events.segment import header_bytes, parse_header
 from store.errors import BackupDamaged
 
@@ -67,17 +67,65 @@ class SegmentFile(File):
 
 
 class Head(_Frozen):
-    """Where one stream stands at the backup's position."""
+    """What there is of one stream at the backup's position: a run; a stream with gaps has several."""
 
     stream: str
     epoch: int
     sequence: int
     chain_hash: str
+    after: int = 0
+    """the run begins behind this sequence"""
+    after_hash: str = GENESIS.hex()
 
     @property
-    def key(self) -> tuple[StreamName, int]:
+    def key(self) -> Place:
         """Which stream in which epoch."""
         return StreamName.parse(self.stream), self.epoch
+
+    @property
+    def run(self) -> Run:
+        """The run."""
+        hashes = bytes.fromhex(self.after_hash), bytes.fromhex(self.chain_hash)
+        return Run(self.after, hashes[0], self.sequence, hashes[1])
+
+    @classmethod
+    def of(cls, place: Place, run: Run) -> Self:
+        """The run as the manifest says it."""
+        return cls(
+            stream=str(place[0]),
+            epoch=place[1],
+            sequence=run.sequence,
+            chain_hash=run.chain_hash.hex(),
+            after=run.after,
+            after_hash=run.after_hash.hex(),
+        )
+
+
+class BegunBehind(_Frozen):
+    """A base: where a run began without what comes before it."""
+
+    stream: str
+    epoch: int
+    sequence: int
+    chain_hash: str
+    position: int
+
+    @property
+    def base(self) -> Base:
+        """The base."""
+        name, chain_hash = StreamName.parse(self.stream), bytes.fromhex(self.chain_hash)
+        return Base(name, self.epoch, self.sequence, chain_hash, self.position)
+
+    @classmethod
+    def of(cls, base: Base) -> Self:
+        """The base as the manifest says it."""
+        return cls(
+            stream=str(base.stream),
+            epoch=base.epoch,
+            sequence=base.sequence,
+            chain_hash=base.chain_hash.hex(),
+            position=base.position,
+        )
 
 
 class Manifest(_Frozen):
@@ -96,6 +144,17 @@ class Manifest(_Frozen):
     segments: tuple[SegmentFile, ...]
     checkpoints: File | None
     streams: tuple[Head, ...]
+    """the runs of all streams"""
+    bases: tuple[BegunBehind, ...] = ()
+    """where runs began, in order of position"""
+
+    @property
+    def runs(self) -> dict[Place, list[Run]]:
+        """The runs of each stream, ascending."""
+        runs: dict[Place, list[Run]] = {}
+        for head in self.streams:
+            runs.setdefault(head.key, []).append(head.run)
+        return runs
 
     @property
     def bytes(self) -> int:

@@ -216,7 +216,7 @@ class ColdTier:
             stream: The stream.
             stream_id: Its id in this log.
             from_sequence: The first event wanted.
-            to_sequence: The last event wanted; a file ends with it.
+            to_sequence: The last event wanted; the last segment may end behind it.
             chosen: What else is wanted of them.
 
         Raises:
@@ -225,17 +225,23 @@ class ColdTier:
         """
         at = from_sequence
         while rows := self._rows(
-            f"select r.first_position, r.last_position, r.last_sequence, {_FILE_COLUMNS} from sealed_ranges r "
-            "join sealed_files f on f.first_position = r.file "
-            "where r.stream_id = %(stream)s and r.last_sequence between %(at)s and %(to)s "
+            f"select r.first_position, r.last_position, r.first_sequence, r.last_sequence, {_FILE_COLUMNS} "
+            "from sealed_ranges r join sealed_files f on f.first_position = r.file "
+            "where r.stream_id = %(stream)s and r.first_sequence <= %(to)s and r.last_sequence >= %(at)s "
+            # The range that holds the first event wanted, if one does, is the last that begins no later.
+            "and r.first_sequence >= coalesce((select max(b.first_sequence) from sealed_ranges b "
+            "where b.stream_id = %(stream)s and b.first_sequence <= %(at)s), 0) "
             "order by r.first_sequence limit %(limit)s",
             {"stream": stream_id, "at": at, "to": to_sequence, "limit": FILES_AT_A_TIME},
         ):
-            for first, last, _, *file in rows:
+            for first, last, first_sequence, last_sequence, *file in rows:
                 for segment in self._segments(SealedFile(*file), (first, last), chosen, stream):
-                    if segment.header.last_sequence >= from_sequence:
+                    begin, end = segment.header.first_sequence, segment.header.last_sequence
+                    # Between the positions of a range others of the same stream may lie.
+                    is_of_range = first_sequence <= begin and end <= last_sequence
+                    if is_of_range and begin <= to_sequence and end >= from_sequence:
                         yield segment
-            at = rows[-1][2] + 1
+            at = rows[-1][3] + 1
 
     def end_at(self, stream: Stream, at_position: int) -> End | None:
         """Where the stream stood when the log was at a sealed position; None if it was not there yet.
@@ -245,7 +251,7 @@ class ColdTier:
             ArchiveUnavailable: The archive cannot be reached.
         """
         rows = self._rows(
-            "select r.first_position, r.last_position, r.last_sequence, r.chain_hash, "
+            "select r.first_position, r.last_position, r.first_sequence, r.last_sequence, r.chain_hash, "
             f"{_FILE_COLUMNS} from sealed_ranges r join sealed_files f on f.first_position = r.file "
             "join streams s on s.id = r.stream_id where s.station = %(station)s and s.source = %(source)s "
             "and s.type = %(type)s and s.epoch = %(epoch)s and r.first_position <= %(at)s "
@@ -254,10 +260,12 @@ class ColdTier:
         )
         if not rows:
             return None
-        first, last, sequence, chain_hash, *file = rows[0]
+        first, last, first_sequence, last_sequence, chain_hash, *file = rows[0]
         if last <= at_position:
-            return End(sequence, chain_hash)
-        newest = deque(self._segments(SealedFile(*file), (first, at_position), _ANY, stream), maxlen=1)
+            return End(last_sequence, chain_hash)
+        segments = self._segments(SealedFile(*file), (first, at_position), _ANY, stream)
+        is_of_range = (each for each in segments if first_sequence <= each.header.first_sequence <= last_sequence)
+        newest = deque(is_of_range, maxlen=1)
         if not newest:
             raise ChainBroken(stream[0], first, 0, f"the sealed file {file[0]} does not hold it, which the index says")
         return End(newest[0].header.last_sequence, newest[0].chain_hash)
@@ -274,7 +282,7 @@ class ColdTier:
             "and epoch = %(epoch)s",
             _names(stream),
         )
-        return head, next(self.of_stream(stream, stream_id, sequence, _EVERYWHERE[1]), None)
+        return head, next(self.of_stream(stream, stream_id, sequence, sequence), None)
 
     def _segments(
         self, file: SealedFile, wanted: tuple[int, int], chosen: Filter, stream: Stream | None

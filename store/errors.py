@@ -3,6 +3,7 @@
 StoreError
 ├── LogUnavailable       the database cannot be started or reached, or went away
 │   ├── WrongMajor       the data directory belongs to another major version of PostgreSQL
+│   ├── DiskNearlyFull   the log's disk has less room than must stay free
 │   └── ArchiveUnavailable  the place of the sealed files cannot be reached
 ├── DatabaseDamaged      PostgreSQL finds that its own files do not hold what it wrote
 ├── SchemaMismatch       the database's schema is newer than this program, or not ours
@@ -13,6 +14,8 @@ StoreError
 ├── BadProof             a key, a signed checkpoint or a saved verification is not what it must be
 ├── BackupUnusable       a backup cannot be made there, or cannot be restored here
 │   └── BackupDamaged    its files are not what its manifest says
+├── QuestionFailed       a question from the field that PostgreSQL does not take, or cannot answer
+├── QuestionTooDear      a question from the field that would cost more than it may
 └── BadRequest           a call asked for what the log does not do
 """
 
@@ -36,6 +39,10 @@ class WrongMajor(LogUnavailable):
     """The data directory belongs to another major version of PostgreSQL."""
 
 
+class DiskNearlyFull(LogUnavailable):
+    """The log's disk has less room than must stay free: nothing was recorded, and it goes on when there is room."""
+
+
 class ArchiveUnavailable(LogUnavailable):
     """The place of the sealed files cannot be reached; what it holds is not lost by that."""
 
@@ -54,6 +61,19 @@ class BadProof(StoreError):
 
 class TableBusy(StoreError):
     """A row table cannot be changed while queries read it; nothing was changed."""
+
+
+class QuestionFailed(StoreError):
+    """A question from the field that PostgreSQL does not take, or cannot answer."""
+
+
+class QuestionTooDear(StoreError):
+    """A question from the field that would cost more time, memory or disk than it may."""
+
+    def __init__(self, message: str, *, is_time: bool = False) -> None:
+        super().__init__(message)
+        self.is_time = is_time
+        """Whether it is time that it would cost."""
 
 
 class BadRequest(StoreError):
@@ -77,8 +97,15 @@ class SequenceConflict(StoreError):
     actual: int
     stored_hash: str | None = None
     sent_hash: str | None = None
+    until: int | None = None
+    """what was sent reaches beyond this sequence, behind which the stream is here already"""
 
     def __str__(self) -> str:
+        if self.until is not None:
+            return (
+                f"stream {self.stream} is here from sequence {self.until + 1} on: "
+                f"what was sent behind sequence {self.expected} reaches beyond {self.until}"
+            )
         if self.stored_hash is not None:
             return (
                 f"stream {self.stream} already holds other bytes after sequence {self.expected}: "

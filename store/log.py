@@ -22,10 +22,10 @@ from typing import Any, Self, TypeVar
 import psycopg
 from psycopg_pool import ConnectionPool, PoolTimeout
 
-from events import Catalogue, Draft, EventType, Position, Segment, StreamName, load_catalogue
+from events import GENESIS, Base, Catalogue, Draft, EventType, Place, Position, Run, Segment, StreamName, load_catalogue
 from store.coldtier import ColdTier
 from store.embedded import EmbeddedServer
-from store.errors import UNKNOWN, BadRequest, ChainBroken, DatabaseDamaged, LogUnavailable, StoreError
+from store.errors import UNKNOWN, BadRequest, ChainBroken, DatabaseDamaged, DiskNearlyFull, LogUnavailable, StoreError
 from store.reading import (
     Filter,
     TimeOrNone,
@@ -34,10 +34,13 @@ from store.reading import (
     place_query,
     read_query,
     segment_of,
+    stream_names,
     stream_query,
 )
 from store.resending import acknowledged
+from store.room import Room
 from store.schema import migrate, safe_dsn
+from store.standing import BASES, RUNS, STANDING, Standing, StreamHead, base_of, runs_of, standing_of
 from store.writing import APPEND, Appended, PlaceIsSealed, append_answer, append_error, append_parameters
 
 T = TypeVar("T")
@@ -48,18 +51,9 @@ _PATIENCE_SECONDS = 1.0
 """How long to wait for the pool before asking the database itself whether it is there."""
 _ROOM_BYTES = 32 * 2**20
 """With less room on its disk PostgreSQL may not be able to go on: it takes it in files of 16 MiB."""
+_SEQUENCE_MAX = 2**63 - 1
 READ_SEGMENTS = 500
 """Segments fetched from the database at a time."""
-
-
-@dataclass(frozen=True, slots=True)
-class StreamHead:
-    """Where one stream stands."""
-
-    stream: StreamName
-    epoch: int
-    sequence: int
-    chain_hash: bytes
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,10 +71,11 @@ class Transaction:
     one transaction may wait in a circle with another writer (one of the two is then LogUnavailable).
     """
 
-    def __init__(self, connection: psycopg.Connection[Any], epoch: int, archive: ColdTier) -> None:
+    def __init__(self, connection: psycopg.Connection[Any], epoch: int, archive: ColdTier, room: Room) -> None:
         self.connection = connection
         self._epoch = epoch
         self._archive = archive
+        self._room = room
 
     def append(
         self,
@@ -89,8 +84,13 @@ class Transaction:
         *,
         epochs: Sequence[int] | None = None,
         chain_hashes: Sequence[bytes] | None = None,
+        bases: Sequence[bytes | None] | None = None,
+        from_reserve: bool = False,
     ) -> list[Appended]:
         """Append the drafts, in this order, and say where each came to stand.
+
+        A stream may have gaps where the sender says so: a draft with a base may begin a new run of its stream, beyond
+        its head or in a gap. One that is expected at the end of a lower run goes on with it, at most up to the next.
 
         Args:
             drafts: One or more, of one or many streams.
@@ -98,14 +98,19 @@ class Transaction:
                 append wherever it stands. With it, a re-sent draft is recognised.
             epochs: For each draft the epoch of its stream; this log's own by default.
             chain_hashes: For each draft the chain hash that must come out; a replica gives it.
+            bases: For each draft the chain hash before it, if it may begin a new run where nothing is yet.
+            from_reserve: Append though the disk is nearly full: for the few events that lead to room.
 
         Raises:
+            DiskNearlyFull: The log's disk has less room than must stay free.
             SequenceConflict: A stream stands elsewhere, or holds other bytes there.
-            ChainBroken: A chain hash comes out different.
-            BadRequest: The lists differ in length, or an expected sequence is negative.
+            ChainBroken: A chain hash comes out different, or is not the one that the run above was begun behind.
+            BadRequest: The lists differ in length, an expected sequence is negative, or a base is none.
         """
+        if not from_reserve:
+            self._room.require()
         appended = _append(
-            self.connection, self._epoch, drafts, expected, epochs, chain_hashes, sealed_is_compared=True
+            self.connection, self._epoch, drafts, expected, epochs, chain_hashes, bases, sealed_is_compared=True
         )
         return [
             each if each.position is not None else self._compared(index, each, drafts, epochs, chain_hashes)
@@ -201,6 +206,7 @@ class Log:
             open=False,
         )
         self.archive = ColdTier(self._fetched, server.data_dir if server else None)
+        self.room = Room(self._fetched, server.data_dir if server else None)
         self._sealed_position = 0
         """As far as is known; it only grows."""
         self._pool.open()
@@ -231,7 +237,7 @@ class Log:
                 transaction may then have been committed or not: append again with `expected`.
         """
         with self.connection() as connection, connection.transaction():
-            yield Transaction(connection, self.epoch, self.archive)
+            yield Transaction(connection, self.epoch, self.archive, self.room)
 
     @contextmanager
     def connection(self) -> Iterator[psycopg.Connection[Any]]:
@@ -247,6 +253,8 @@ class Log:
                     yield connection
             finally:
                 self._pool.putconn(connection)
+        except DiskNearlyFull:
+            raise
         except LogUnavailable as error:
             raise LogUnavailable(f"{error}{self._room()}") from error
         except PoolTimeout as error:
@@ -286,16 +294,27 @@ class Log:
         *,
         epochs: Sequence[int] | None = None,
         chain_hashes: Sequence[bytes] | None = None,
+        bases: Sequence[bytes | None] | None = None,
+        from_reserve: bool = False,
     ) -> list[Appended]:
         """Append the drafts in a transaction of their own and one round trip; see `Transaction.append`."""
+        if not from_reserve:
+            self.room.require()
         with self.connection() as connection:
             try:
-                return _append(connection, self.epoch, drafts, expected, epochs, chain_hashes)
+                return _append(connection, self.epoch, drafts, expected, epochs, chain_hashes, bases)
             except PlaceIsSealed:
                 # Nothing was stored. The comparison with the file must come before the commit.
                 with connection.transaction():
-                    transaction = Transaction(connection, self.epoch, self.archive)
-                    return transaction.append(drafts, expected, epochs=epochs, chain_hashes=chain_hashes)
+                    transaction = Transaction(connection, self.epoch, self.archive, self.room)
+                    return transaction.append(
+                        drafts,
+                        expected,
+                        epochs=epochs,
+                        chain_hashes=chain_hashes,
+                        bases=bases,
+                        from_reserve=from_reserve,
+                    )
 
     def read(
         self, stream: StreamName, from_sequence: int = 1, *, epoch: int | None = None, with_hollow: bool = False
@@ -325,21 +344,30 @@ class Log:
             yield from self.read(stream, epoch=life.epoch)
 
     def _read(self, stream: StreamName, at: int, epoch: int | None, chosen: Filter) -> Iterator[Segment]:
+        at = max(at, 1)
         while True:
             query = stream_query(stream, epoch, at, READ_SEGMENTS, with_hollow=chosen.with_hollow)
-            segments = self._segments(*query)
-            if not segments or segments[0].header.first_sequence > at:
-                # Asked after the segments: what is not sealed by now was there to be found.
-                place = self._rows(*place_query(stream, epoch))
-                if place and (sealed := place[0][2]) >= max(at, 1):
-                    stream_id, epoch, _ = place[0]
-                    yield from self.archive.of_stream((stream, epoch), stream_id, at, sealed, chosen)
-                    at = sealed + 1
-                    continue
-            yield from segments
-            if len(segments) < READ_SEGMENTS:
+            rows = self._fetched(*query)
+            for segment in map(segment_of, (row[1:] for row in rows)):
+                first, epoch = segment.header.first_sequence, segment.header.epoch
+                if first > at:
+                    yield from self._read_sealed(stream, epoch, (at, first - 1), chosen)
+                yield segment
+                at = segment.header.last_sequence + 1
+            if len(rows) < READ_SEGMENTS:
+                if not rows or at <= rows[-1][0]:
+                    yield from self._read_sealed(stream, epoch, (at, _SEQUENCE_MAX), chosen)
                 return
-            at, epoch = segments[-1].header.last_sequence + 1, segments[-1].header.epoch
+
+    def _read_sealed(
+        self, stream: StreamName, epoch: int | None, wanted: tuple[int, int], chosen: Filter
+    ) -> Iterator[Segment]:
+        """What sealed files hold of a stream between two sequences.
+
+        To be asked after the segments of the database: what is not sealed by now was there to be found.
+        """
+        for stream_id, life in self._rows(*place_query(stream, epoch)):
+            yield from self.archive.of_stream((stream, life), stream_id, *wanted, chosen)
 
     def read_all(
         self,
@@ -451,10 +479,30 @@ class Log:
         """Where a stream stands, or stood when the log was at a position; sequence 0 if it is not there."""
         wanted = self.epoch if epoch is None else epoch
         rows = self._rows(*head_query(stream, wanted, at_position))
-        if not rows and at_position is not None and (end := self.archive.end_at((stream, wanted), at_position)):
-            return StreamHead(stream, wanted, end.sequence, end.chain_hash)
         sequence, chain_hash = rows[0] if rows else (0, bytes(32))
+        # Asked after the segments: what is not sealed by now was there to be found. In a stream with gaps what came
+        # later may lie below what is sealed.
+        if at_position is not None and (end := self.archive.end_at((stream, wanted), at_position)):
+            sequence, chain_hash = max((sequence, chain_hash), (end.sequence, end.chain_hash))
         return StreamHead(stream, wanted, sequence, chain_hash)
+
+    def runs(self, stream: StreamName, epoch: int | None = None) -> list[Run]:
+        """What is here of the stream, in this log's own epoch by default: its runs, ascending."""
+        wanted = {**stream_names(stream), "epoch": self.epoch if epoch is None else epoch}
+        rows = self._rows(RUNS, wanted)
+        return runs_of(rows[0][0], rows[0][1], [row[2:] for row in rows]) if rows else []
+
+    def all_runs(self) -> dict[Place, list[Run]]:
+        """What is here of all streams that hold events: their runs, ascending."""
+        return self.standing().runs
+
+    def standing(self) -> Standing:
+        """Position, heads, runs and bases, as they stood at one moment."""
+        return standing_of(self._rows(STANDING))
+
+    def bases(self, first: int = 1, last: int = _SEQUENCE_MAX) -> list[Base]:
+        """Where runs were begun without what comes before them, by the segments between two positions, in order."""
+        return [base_of(row) for row in self._rows(BASES, {"first": first, "last": last})]
 
     def checkpoint(self, name: str) -> Checkpoint:
         """A subscriber's checkpoint; position 0 where there is none."""
@@ -507,14 +555,6 @@ class Log:
                     f"{safe_dsn(self.dsn)}: {error}. Next: as the database's owner, grant {self._role} to this role"
                 ) from error
 
-    def _segments(self, query: str, parameters: Mapping[str, Any]) -> list[Segment]:
-        """The segments that a query of `store.reading` finds.
-
-        Raises:
-            ChainBroken: One of them is none that a log can hold.
-        """
-        return [segment_of(row) for row in self._fetched(query, parameters)]
-
     def _fetched(self, query: str, parameters: Mapping[str, Any]) -> list[tuple[Any, ...]]:
         """The rows that a query finds; None for a time that Python does not know."""
         with self.connection() as connection:
@@ -549,23 +589,29 @@ def _append(
     expected: Sequence[int | None] | None,
     epochs: Sequence[int] | None,
     chain_hashes: Sequence[bytes] | None,
+    bases: Sequence[bytes | None] | None,
     *,
     sealed_is_compared: bool = False,
 ) -> list[Appended]:
     if not drafts:
         return []
-    for name, given in (("expected", expected), ("epochs", epochs), ("chain_hashes", chain_hashes)):
+    lists = (("expected", expected), ("epochs", epochs), ("chain_hashes", chain_hashes), ("bases", bases))
+    for name, given in lists:
         if given is not None and len(given) != len(drafts):
             raise BadRequest(f"{name} must have one entry a draft: got {len(given)} for {len(drafts)} drafts")
     for draft, sequence in zip(drafts, expected or (), strict=False):
         if sequence is not None:
             check_not_negative(f"{draft.stream}: expected", sequence)
+    for draft, base in zip(drafts, bases or (), strict=False):
+        if base is not None and len(base) != len(GENESIS):
+            raise BadRequest(f"{draft.stream}: a base is a chain hash of {len(GENESIS)} bytes, got {len(base)}")
     count = len(drafts)
     parameters = append_parameters(
         drafts, expected or [None] * count, epochs or [epoch] * count, chain_hashes or [None] * count
     )
+    begun = list(bases) if bases is not None and any(bases) else None
     try:
-        row = connection.execute(APPEND, [*parameters, sealed_is_compared], prepare=True, binary=True).fetchone()
+        row = connection.execute(APPEND, [*parameters, sealed_is_compared, begun], prepare=True, binary=True).fetchone()
     except psycopg.Error as error:
         raise append_error(error, drafts, expected) from error
     assert row is not None, "the function answers in one row"

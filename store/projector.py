@@ -77,6 +77,7 @@ class Projector:
             LogUnavailable: The database is away; nothing is lost, step again later.
             CorruptSegment: A stored segment does not decode; `vian verify` tells more.
         """
+        self._log.room.require()
         before = self._subscription.position
         delivery = self._subscription.poll(0.0 if self._behind else timeout_s)
         try:

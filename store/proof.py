@@ -17,7 +17,7 @@ from typing import Any
 from events import CheckpointSigned, Sequence, Station, StreamName
 from events.segment import microseconds, text_bytes
 from store.errors import BadProof
-from store.log import StreamHead
+from store.standing import StreamHead
 
 SOURCE = "log"
 """Source of the stream of checkpoints: `STATION/log/checkpoint_signed`."""
@@ -76,7 +76,7 @@ def order_hash(previous: bytes, position: int, recorded_at_us: int, chain_hash: 
 
 
 def heads_hash(heads: Iterable[StreamHead]) -> bytes:
-    """SHA-256 over the heads in the order of station, source, type, epoch."""
+    """SHA-256 over the heads in the order of station, source, type, epoch, sequence."""
     parts = [_head_bytes(head) for head in sorted(heads, key=_by_name)]
     return hashlib.sha256(b"".join((HEADS_MAGIC, struct.pack(">I", len(parts)), *parts))).digest()
 
@@ -196,8 +196,8 @@ def _head_bytes(head: StreamHead) -> bytes:
     )
 
 
-def _by_name(head: StreamHead) -> tuple[StreamName, int]:
-    return head.stream, head.epoch
+def _by_name(head: StreamHead) -> tuple[StreamName, int, int]:
+    return head.stream, head.epoch, head.sequence
 
 
 def _bytes32(text: str) -> bytes:

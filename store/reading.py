@@ -96,7 +96,10 @@ def read_query(from_position: int, to_position: int, chosen: Filter, limit: int)
 def stream_query(
     stream: StreamName, epoch: int | None, from_sequence: int, limit: int, *, with_hollow: bool
 ) -> tuple[str, dict[str, Any]]:
-    """The query for a page of one stream, in order of sequence, and its parameters."""
+    """The query for a page of one stream, in order of sequence, and its parameters.
+
+    Each row begins with the stream's head, as of the same moment.
+    """
     wanted = (
         "(select id from streams where station = %(station)s and source = %(source)s and type = %(type)s "
         "and (%(epoch)s::int is null or epoch = %(epoch)s) order by epoch desc limit 1)"
@@ -104,28 +107,25 @@ def stream_query(
     whole = "" if with_hollow else "and g.payload is not null "
     # Both sub-queries stand alone, so that they are evaluated once and bound the index scan.
     query = (
-        f"select {_FROM}g.stream_id = {wanted} and g.first_sequence + g.event_count > %(from)s "
+        f"select s.sequence, {_FROM}g.stream_id = {wanted} and g.first_sequence + g.event_count > %(from)s "
         f"and g.first_sequence >= coalesce((select max(h.first_sequence) from segments h where h.stream_id = {wanted} "
         f"and h.first_sequence <= %(from)s), 0) {whole}order by g.first_sequence limit %(limit)s"
     )
-    return query, {
-        "station": stream.station,
-        "source": stream.source,
-        "type": stream.type,
-        "epoch": epoch,
-        "from": from_sequence,
-        "limit": limit,
-    }
+    return query, {**stream_names(stream), "epoch": epoch, "from": from_sequence, "limit": limit}
 
 
 def place_query(stream: StreamName, epoch: int | None) -> tuple[str, dict[str, Any]]:
-    """The query for a stream's id, epoch, and the last of its sequences that is sealed, and its parameters."""
+    """The query for a stream's id and epoch, and its parameters."""
     query = (
-        "select s.id, s.epoch, coalesce((select max(last_sequence) from sealed_ranges where stream_id = s.id), 0) "
-        "from streams s where s.station = %(station)s and s.source = %(source)s and s.type = %(type)s "
-        "and (%(epoch)s::int is null or s.epoch = %(epoch)s) order by s.epoch desc limit 1"
+        "select s.id, s.epoch from streams s where s.station = %(station)s and s.source = %(source)s "
+        "and s.type = %(type)s and (%(epoch)s::int is null or s.epoch = %(epoch)s) order by s.epoch desc limit 1"
     )
-    return query, {"station": stream.station, "source": stream.source, "type": stream.type, "epoch": epoch}
+    return query, {**stream_names(stream), "epoch": epoch}
+
+
+def stream_names(stream: StreamName) -> dict[str, Any]:
+    """The parts of a stream's name, as parameters."""
+    return {"station": stream.station, "source": stream.source, "type": stream.type}
 
 
 def head_query(stream: StreamName, epoch: int, at_position: int | None) -> tuple[str, dict[str, Any]]:
@@ -138,13 +138,7 @@ def head_query(stream: StreamName, epoch: int, at_position: int | None) -> tuple
             f"join streams s on s.id = g.stream_id where {named} and g.position <= %(at)s "
             "order by g.first_sequence desc limit 1"
         )
-    return query, {
-        "station": stream.station,
-        "source": stream.source,
-        "type": stream.type,
-        "epoch": epoch,
-        "at": at_position,
-    }
+    return query, {**stream_names(stream), "epoch": epoch, "at": at_position}
 
 
 def segment_of(row: Sequence[Any]) -> Segment:

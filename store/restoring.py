@@ -18,11 +18,11 @@ from typing import Any
 
 import psycopg
 
-from events import Segment, StreamName
+from events import Chains, Place, Segment
 from store import backup_files as files
-from store.backup import Chains
 from store.backup_files import Manifest, Restored
 from store.errors import BackupDamaged, BackupUnusable, ChainBroken, LogUnavailable
+from store.following import follow
 from store.log import Log
 from store.maintenance import RESTORE_BEGAN, RESTORED, VERIFIED, newest, note, note_on
 from store.projector import BEHIND
@@ -185,16 +185,16 @@ def _fill(
 ) -> None:
     connection.execute("delete from checkpoints")
     ids = _insert_streams(connection, manifest)
-    chains = Chains()
+    chains = Chains(bases=[each.base for each in manifest.bases])
     with connection.cursor().copy(_COPY) as copy:
         copy.set_types(_COPY_TYPES)
         for segment in _checked(folder, manifest, chains):
             copy.write_row(_row(segment, ids))
             if on_segment is not None:
                 on_segment(segment)
-    held = {head.key: (head.sequence, bytes.fromhex(head.chain_hash)) for head in manifest.streams}
-    if chains.heads != held:
-        raise BackupDamaged(f"{folder}: its segments do not end at the heads that its manifest names")
+    if chains.runs != manifest.runs or chains.not_begun():
+        raise BackupDamaged(f"{folder}: its segments do not end at the heads, or behind the bases, of its manifest")
+    _insert_bases(connection, manifest, ids)
     for name, position, state in files.read_checkpoints(folder, manifest.checkpoints) if manifest.checkpoints else ():
         if name != PROJECTOR and not name.startswith(BEHIND):
             connection.execute(
@@ -206,18 +206,32 @@ def _fill(
     )
 
 
-def _insert_streams(connection: psycopg.Connection[Any], manifest: Manifest) -> dict[tuple[StreamName, int], int]:
+def _insert_streams(connection: psycopg.Connection[Any], manifest: Manifest) -> dict[Place, int]:
     ids = {}
-    for head in manifest.streams:
-        stream, epoch = head.key
+    for (stream, epoch), runs in manifest.runs.items():
+        head = max(runs, key=lambda run: run.sequence)
         row = connection.execute(
             "insert into streams (station, epoch, source, type, sequence, chain_hash) "
             "values (%s, %s, %s, %s, %s, %s) returning id",
-            (stream.station, epoch, stream.source, stream.type, head.sequence, bytes.fromhex(head.chain_hash)),
+            (stream.station, epoch, stream.source, stream.type, head.sequence, head.chain_hash),
         ).fetchone()
         assert row is not None, "an insert returns its row"
-        ids[head.key] = row[0]
+        ids[stream, epoch] = row[0]
     return ids
+
+
+def _insert_bases(connection: psycopg.Connection[Any], manifest: Manifest, ids: dict[Place, int]) -> None:
+    """Enter where runs began, and how far what lies below has come since."""
+    runs = Chains(manifest.runs)
+    for base in (each.base for each in manifest.bases):
+        below = runs.below(base.place, base.sequence)
+        is_reached = below.sequence >= base.sequence
+        filled = (base.sequence, base.chain_hash) if is_reached else (below.sequence, below.chain_hash)
+        connection.execute(
+            "insert into stream_bases (stream_id, sequence, chain_hash, position, filled_sequence, filled_hash) "
+            "values (%s, %s, %s, %s, %s, %s)",
+            (ids[base.place], base.sequence, base.chain_hash, base.position, *filled),
+        )
 
 
 def _checked(folder: Path, manifest: Manifest, chains: Chains) -> Iterator[Segment]:
@@ -229,7 +243,7 @@ def _checked(folder: Path, manifest: Manifest, chains: Chains) -> Iterator[Segme
             if segment.position != position:
                 raise BackupDamaged(f"{folder / file.name}: position {position} is missing")
             try:
-                chains.check(segment)
+                follow(chains, segment)
             except ChainBroken as error:
                 raise BackupDamaged(f"{folder / file.name}: {error}. Next: restore from another copy") from error
             yield segment
@@ -237,7 +251,7 @@ def _checked(folder: Path, manifest: Manifest, chains: Chains) -> Iterator[Segme
         raise BackupDamaged(f"{folder}: its files end at position {position}, its manifest at {manifest.position}")
 
 
-def _row(segment: Segment, ids: dict[tuple[StreamName, int], int]) -> tuple[Any, ...]:
+def _row(segment: Segment, ids: dict[Place, int]) -> tuple[Any, ...]:
     header = segment.header
     stream_id = ids.get((header.stream, header.epoch))
     if stream_id is None:

@@ -163,10 +163,10 @@ def _bring_row_tables_up(connection: sa.Connection, catalogue: Iterable[type[Eve
 
 def _create(connection: sa.Connection, table: sa.Table) -> None:
     found = sa.inspect(connection)
-    for name in (table.name, f"{table.name}_events"):
+    for name in (table.name, f"{table.name}_events", f"field_{table.name}"):
         if found.has_table(name):
             raise SchemaMismatch(
-                f"event type {table.name} needs a table of its name and a view beside it, and the database "
+                f"event type {table.name} needs a table of its name and views beside it, and the database "
                 f"has another {name}. "
                 "Next: rename the type, or give ViAn a database of its own"
             )
@@ -191,7 +191,7 @@ def _change(connection: sa.Connection, table: sa.Table) -> None:
         if column.name not in existing:
             connection.execute(sa.text(f"alter table {quoted} add column {name} {kind}"))
         elif compiler.process(existing[column.name]["type"]) != kind:
-            connection.execute(sa.text(f"drop view if exists {_view_of(connection, table)}"))
+            connection.execute(sa.text(f"drop view if exists {_views_of(connection, table)}"))
             connection.execute(sa.text(f"alter table {quoted} alter column {name} type {kind} using null"))
         connection.execute(sa.text(f"alter table {quoted} alter column {name} {null}"))
         connection.execute(sa.schema.SetColumnComment(column))
@@ -201,8 +201,9 @@ def _change(connection: sa.Connection, table: sa.Table) -> None:
     connection.execute(sa.schema.SetTableComment(table))
 
 
-def _view_of(connection: sa.Connection, table: sa.Table) -> str:
-    return connection.dialect.identifier_preparer.quote(f"{table.name}_events")
+def _views_of(connection: sa.Connection, table: sa.Table) -> str:
+    names = (f"field_{table.name}", f"{table.name}_events")
+    return ", ".join(map(connection.dialect.identifier_preparer.quote, names))
 
 
 def _next_without_privilege(error: psycopg.Error, dsn: str) -> str:
@@ -215,7 +216,7 @@ def _next_without_privilege(error: psycopg.Error, dsn: str) -> str:
         owner = _parameters(dsn).get("user", "OWNER")
         return (
             "these roles came with another database of this server; as a superuser: "
-            f'grant vian_writer, vian_reader, vian_archiver, vian_pruner to "{owner}" with admin option'
+            f'grant vian_writer, vian_reader, vian_archiver, vian_pruner, vian_field to "{owner}" with admin option'
         )
     return "connect once as a role that may create tables and roles; an account that only reads is for psql"
 

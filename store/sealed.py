@@ -15,21 +15,23 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any, BinaryIO
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from events import (
-    GENESIS,
+    Base,
+    Chains,
     EventError,
     Position,
     Segment,
     StreamName,
-    chain,
     header_bytes,
     parse_header,
 )
 from store.errors import UNKNOWN, ChainBroken, SealedFileDamaged
+from store.following import follow
 from store.reading import Filter
 
 FORMAT = "VIANSEAL1"
@@ -93,7 +95,7 @@ class End:
 
 @dataclass(frozen=True, slots=True)
 class Range:
-    """What a sealed file holds of one stream."""
+    """What a sealed file holds of one stream, without a gap and in the order in which the log took it."""
 
     stream: Stream
     first_sequence: int
@@ -114,43 +116,38 @@ class Contents:
     """First and last position, segments, events, earliest and latest time."""
 
 
-class Chains:
-    """Follows the chains of all streams from segment to segment, and refuses one that does not follow."""
+class FileChains:
+    """Follows the chains of one sealed file, in order of position."""
 
-    def __init__(self, ends: dict[Stream, End] | None = None) -> None:
-        self.ends = dict(ends or {})
+    def __init__(self) -> None:
+        self._chains = Chains()
+        self.ends: dict[tuple[Stream, int], bytes] = {}
+        """the last sequence of each range, and its chain hash"""
 
-    def follow(self, segment: Segment, previous: bytes | None = None) -> None:
-        """Take the next segment of its stream.
+    def goes_on(self, segment: Segment) -> bool:
+        """Whether the segment before it in its stream is in the file, and came before it."""
+        return (_stream(segment), segment.header.first_sequence - 1) in self.ends
+
+    def follow(self, segment: Segment, previous: bytes | None) -> None:
+        """Take the next segment.
 
         Args:
             segment: The segment.
-            previous: The chain hash before it, where nothing is known of its stream yet.
+            previous: The chain hash before it, where it begins a range.
 
         Raises:
             ChainBroken: It does not follow, or its bytes are not those that were hashed.
         """
-        header = segment.header
-        stream = (header.stream, header.epoch)
-        end = self.ends.get(stream)
-        if end is None:
-            end = End(0, GENESIS) if previous is None else End(header.first_sequence - 1, previous)
-        if (reason := _fault(segment, end)) is not None:
-            raise ChainBroken(header.stream, segment.position, header.first_sequence, reason)
-        self.ends[stream] = End(header.last_sequence, segment.chain_hash)
+        stream, before = _stream(segment), segment.header.first_sequence - 1
+        if previous is not None:
+            self._chains.expect([Base(*stream, before, previous, segment.position)])
+        follow(self._chains, segment)
+        self.ends.pop((stream, before), None)
+        self.ends[stream, segment.header.last_sequence] = segment.chain_hash
 
 
-def _fault(segment: Segment, end: End) -> str | None:
-    header = segment.header
-    if header.first_sequence != end.sequence + 1:
-        return f"it follows sequence {end.sequence}, so it must begin at {end.sequence + 1}"
-    if not segment.is_payload_whole:
-        payload_hash = hashlib.sha256(segment.payload).digest()
-        return f"the payload's hash is {payload_hash.hex()}, recorded was {segment.payload_hash.hex()}"
-    chain_hash = chain(end.chain_hash, header, segment.payload_hash)
-    if chain_hash != segment.chain_hash:
-        return f"the chain hash is {chain_hash.hex()}, recorded was {segment.chain_hash.hex()}; its header was changed"
-    return None
+def _stream(segment: Segment) -> Stream:
+    return segment.header.stream, segment.header.epoch
 
 
 class SealedWriter:
@@ -161,7 +158,8 @@ class SealedWriter:
             "vian.format": FORMAT,
             "vian.positions": f"{first}-{last}",
             "vian.chain": "chain_hash = SHA-256(previous chain_hash | header | payload_hash), one chain a stream and "
-            "epoch; previous_chain_hash is given with the first segment of each; payload_hash = SHA-256(payload)",
+            "epoch; the previous one is previous_chain_hash where it is given, else that of the row whose events end "
+            "right before; payload_hash = SHA-256(payload)",
         }
         looked_up = [name for name in SCHEMA.names if name not in _INCOMPRESSIBLE]
         self._writer = pq.ParquetWriter(
@@ -171,16 +169,15 @@ class SealedWriter:
             use_dictionary=[*_NAMES],
             write_statistics=[*_LOOKED_UP],
         )
-        self._begun: set[Stream] = set()
 
-    def write(self, segments: Sequence[Segment], before: dict[Stream, End]) -> None:
+    def write(self, segments: Sequence[Segment], previous: Sequence[bytes | None]) -> None:
         """Write the segments as one row group.
 
         Args:
             segments: The next segments.
-            before: Where the streams stood before this file.
+            previous: For each that begins a range, the chain hash before it.
         """
-        rows = [self._row(segment, before) for segment in segments]
+        rows = [self._row(segment, before) for segment, before in zip(segments, previous, strict=True)]
         columns = [pa.array(column, field.type) for field, column in zip(SCHEMA, zip(*rows, strict=True), strict=True)]
         table = pa.Table.from_arrays(columns, schema=SCHEMA)
         self._writer.write_table(table, row_group_size=len(rows))
@@ -189,11 +186,8 @@ class SealedWriter:
         """Write the end of the file."""
         self._writer.close()
 
-    def _row(self, segment: Segment, before: dict[Stream, End]) -> tuple[Any, ...]:
+    def _row(self, segment: Segment, previous: bytes | None) -> tuple[Any, ...]:
         header = segment.header
-        stream = (header.stream, header.epoch)
-        previous = None if stream in self._begun else before.get(stream, End(0, GENESIS)).chain_hash
-        self._begun.add(stream)
         return (
             segment.position,
             segment.recorded_at,
@@ -248,13 +242,13 @@ class SealedReader:
             raise self._damaged(first, last, f"it holds {table.num_rows} segments")
         return table
 
-    def chains(self) -> Chains:
+    def chains(self) -> FileChains:
         """Every chain of the file, followed from the file's own bytes to its end.
 
         Raises:
             ChainBroken: One does not hold.
         """
-        chains = Chains()
+        chains = FileChains()
         for number in range(len(self.groups)):
             table = self.group(number)
             previous = table.column("previous_chain_hash").to_pylist()
@@ -283,11 +277,11 @@ def contents_of(file: pa.NativeFile) -> Contents:
     """What a file that is as it was sealed holds, without its payloads."""
     table = pq.read_table(file, columns=[*_LOOKED_UP, "chain_hash"])
     last = pc.subtract(pc.add(table.column("first_sequence"), pc.cast(table.column("event_count"), pa.int64())), 1)
-    table = table.append_column("last_sequence", last)
+    table = _with_ranges(table.append_column("last_sequence", last))
     wanted = [("first_sequence", "min"), ("last_sequence", "max"), ("position", "min"), ("position", "max")]
     wanted += [("time_min", "min"), ("time_max", "max")]
-    # Without threads the last of a group is the last of the file, which is in order of position.
-    groups = table.group_by([*_NAMES, "epoch"], use_threads=False).aggregate([*wanted, ("chain_hash", "last")])
+    # Without threads the last of a group is the last of the table, where a range is in order.
+    groups = table.group_by([*_NAMES, "epoch", "range"], use_threads=False).aggregate([*wanted, ("chain_hash", "last")])
     names = [*_NAMES, "epoch", *(f"{name}_{kind}" for name, kind in wanted), "chain_hash_last"]
     rows = zip(*(groups.column(name).to_pylist() for name in names), strict=True)
     position = pc.min_max(table.column("position")).as_py()
@@ -297,6 +291,17 @@ def contents_of(file: pa.NativeFile) -> Contents:
         Range((StreamName.of(station, source, type_), epoch), *rest) for station, source, type_, epoch, *rest in rows
     }
     return Contents(ranges, (position["min"], position["max"], table.num_rows, events, *span))
+
+
+def _with_ranges(table: pa.Table) -> pa.Table:
+    """The table in order of stream and sequence, with the number of each row's range.
+
+    A range ends where the next events are not in the file, or the log took them before.
+    """
+    table = table.sort_by([(name, "ascending") for name in (*_NAMES, "epoch", "first_sequence")])
+    first, last, position = (table.column(name).to_numpy() for name in ("first_sequence", "last_sequence", "position"))
+    goes_on = (first[1:] == last[:-1] + 1) & (position[1:] > position[:-1])
+    return table.append_column("range", pa.array(np.concatenate(([0], np.cumsum(~goes_on)))))
 
 
 def damaged(path: str, first: int, last: int, reason: str) -> SealedFileDamaged:

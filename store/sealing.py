@@ -18,18 +18,26 @@ from typing import Any, BinaryIO
 
 import psycopg
 
-from events import Segment, StreamName
+from events import GENESIS, Segment
 from store.coldtier import ArchiveHead
 from store.errors import UNKNOWN, ArchiveUnavailable, ChainBroken, LogUnavailable, StoreError
 from store.log import Log
 from store.places import Place
-from store.sealed import GROUP_BYTES_MAX, GROUP_SEGMENTS_MAX, Chains, End, SealedReader, SealedWriter, Stream
+from store.sealed import GROUP_BYTES_MAX, GROUP_SEGMENTS_MAX, FileChains, SealedReader, SealedWriter
 
 FOLDER = "_sealed"
 FILE_BYTES = 64 * 1024 * 1024
 _PLAN_SEGMENTS = 5_000
 _ROW_BYTES = 256
 """About what a segment takes besides its payload."""
+_BEFORE = """
+select coalesce(
+  (select b.chain_hash from stream_bases b where b.stream_id = s.id and b.sequence = %(sequence)s),
+  (select case when r.last_sequence = %(sequence)s then r.chain_hash end from sealed_ranges r
+    where r.stream_id = s.id and r.first_sequence <= %(sequence)s order by r.first_sequence desc limit 1)
+) from streams s
+where s.station = %(station)s and s.source = %(source)s and s.type = %(type)s and s.epoch = %(epoch)s
+"""
 _NOTHING_LEFT = "Nothing left the log. Next: check that disk, then run the same command again"
 
 
@@ -142,9 +150,9 @@ class Sealer:
         self._on_step("written")
         read = self._read_back(plan, sha256, size)
         self._on_step("read back")
-        if read.ends != {stream: written.ends[stream] for stream in read.ends}:
+        if read.ends != written.ends:
             raise ArchiveUnavailable(f"{self._place.full(plan.path)} holds other chains than were written to it")
-        self._remove(plan, read.ends, sha256, size)
+        self._remove(plan, read, sha256, size)
         self._on_step("removed")
         return Sealed(plan.path, plan.first, plan.last, size)
 
@@ -217,39 +225,53 @@ class Sealer:
                 return
             first = rows[-1][0] + 1
 
-    def _write(self, plan: _Plan) -> tuple[Chains, bytes, int]:
+    def _write(self, plan: _Plan) -> tuple[FileChains, bytes, int]:
         """Write the file, each chain checked on the way; where the chains end, and the file's SHA-256 and size."""
-        before = self._ends()
-        chains = Chains(before)
+        chains = FileChains()
 
         def fill(sink: BinaryIO) -> None:
             with closing(SealedWriter(sink, plan.first, plan.last)) as writer:
                 for first, last in plan.groups:
                     segments = list(self._log.read_all(first, to_position=last, with_hollow=True))
                     _check_positions(segments, first, last)
+                    previous: list[bytes | None] = []
                     for segment in segments:
-                        chains.follow(segment)
-                    writer.write(segments, before)
+                        previous.append(None if chains.goes_on(segment) else self._before(segment))
+                        chains.follow(segment, previous[-1])
+                    writer.write(segments, previous)
                     self._on_step("writing")
 
         sha256, size = self._place.write(plan.path, fill)
         return chains, sha256, size
 
-    def _ends(self) -> dict[Stream, End]:
-        """Where each stream ends in the sealed files."""
-        with self._log.connection() as connection:
-            rows = connection.execute(
-                "select s.station, s.source, s.type, s.epoch, r.last_sequence, r.chain_hash from streams s "
-                "cross join lateral (select * from sealed_ranges where stream_id = s.id "
-                "order by first_sequence desc limit 1) r",
-                binary=True,
-            ).fetchall()
-        return {
-            (StreamName.of(station, source, type_), epoch): End(sequence, chain_hash)
-            for station, source, type_, epoch, sequence, chain_hash in rows
-        }
+    def _before(self, segment: Segment) -> bytes:
+        """The chain hash before a segment, as the base of its run or the sealed files have it.
 
-    def _read_back(self, plan: _Plan, sha256: bytes, size: int) -> Chains:
+        Raises:
+            ChainBroken: None has.
+        """
+        header, stream = segment.header, segment.stream
+        if header.first_sequence == 1:
+            return GENESIS
+        with self._log.connection() as connection:
+            row = connection.execute(
+                _BEFORE,
+                {
+                    "station": stream.station,
+                    "source": stream.source,
+                    "type": stream.type,
+                    "epoch": header.epoch,
+                    "sequence": header.first_sequence - 1,
+                },
+                binary=True,
+            ).fetchone()
+        if row is None or row[0] is None:
+            reason = f"nothing before it ends at sequence {header.first_sequence - 1}"
+            raise ChainBroken(stream, segment.position, header.first_sequence, reason)
+        chain_hash: bytes = row[0]
+        return chain_hash
+
+    def _read_back(self, plan: _Plan, sha256: bytes, size: int) -> FileChains:
         """Where the chains end in what lies in the archive now, every hash recomputed from it.
 
         Raises:
@@ -270,7 +292,8 @@ class Sealer:
                 f"{path} does not verify when it is read back: {error}. {_NOTHING_LEFT}"
             ) from error
 
-    def _remove(self, plan: _Plan, ends: dict[Stream, End], sha256: bytes, size: int) -> None:
+    def _remove(self, plan: _Plan, chains: FileChains, sha256: bytes, size: int) -> None:
+        ends = [(name, epoch, sequence, chain_hash) for ((name, epoch), sequence), chain_hash in chains.ends.items()]
         with self._archiver() as connection:
             connection.execute(
                 "select seal_segments(%s, %b::bytea, %s, %s::text[], %s::int[], %s::text[], %s::text[], "
@@ -279,12 +302,12 @@ class Sealer:
                     plan.path,
                     sha256,
                     size,
-                    [name.station for name, _ in ends],
-                    [epoch for _, epoch in ends],
-                    [name.source for name, _ in ends],
-                    [name.type for name, _ in ends],
-                    [end.sequence for end in ends.values()],
-                    [end.chain_hash for end in ends.values()],
+                    [name.station for name, _, _, _ in ends],
+                    [epoch for _, epoch, _, _ in ends],
+                    [name.source for name, _, _, _ in ends],
+                    [name.type for name, _, _, _ in ends],
+                    [sequence for _, _, sequence, _ in ends],
+                    [chain_hash for _, _, _, chain_hash in ends],
                 ),
             )
 

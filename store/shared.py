@@ -36,7 +36,7 @@ from events import (
     source_name,
     station_name,
 )
-from store.errors import ChainBroken, LogUnavailable, SequenceConflict, StoreError
+from store.errors import ChainBroken, DiskNearlyFull, LogUnavailable, SequenceConflict, StoreError
 from store.journal import Journal, Kept
 from store.log import Log
 from store.writing import Appended
@@ -399,7 +399,7 @@ class SharedAppender:
                 appended = self._append(group.segments)
             except LogUnavailable as error:
                 self._is_away(error)
-                if self._journal is not None:
+                if self._journal is not None and not isinstance(error, DiskNearlyFull):  # it is on a disk, too
                     self._keep(group)
                     return
                 self._wait_for_database(group)

@@ -11,7 +11,7 @@ from datetime import datetime
 from hashlib import sha256
 from typing import NoReturn
 
-from events import EventError, Producer, Segment, batch_of, encode
+from events import GENESIS, Base, Chains, EventError, Place, Producer, Run, Segment, batch_of, encode
 from store.audit import checkpoints_in
 from store.errors import BadProof, ChainBroken, SequenceConflict
 from store.keys import StationKey, is_signed
@@ -29,7 +29,7 @@ from store.proof import (
     statement_hash,
 )
 from store.reading import Filter
-from store.walk import At, Walk
+from store.walk import Walk
 
 PRODUCER = Producer("signer", "1", sha256(b"{}").digest())
 _PAGE_SEGMENTS = 250
@@ -92,6 +92,9 @@ class Signer:
             page = self._log.page(first, head, _EVERYTHING, _PAGE_SEGMENTS)
         except ChainBroken as broken:
             self._refuse(broken)
+        if page:
+            # Asked after the segments: the bases of all of them are there.
+            base.walk.chains.expect(self._log.bases(first, page[-1].position))
         for segment in page:
             base.walk.take(segment)
             base.strangers += segment.stream != self._stream
@@ -160,15 +163,34 @@ class Signer:
             )
         if statement.epoch != self._log.epoch:
             return _Base(checkpoint, segment.header.epoch, Walk())  # restored since: look at everything again
-        streams = {
-            (head.stream, head.epoch): At(head.sequence, head.chain_hash, statement.position)
-            for head in statement.heads
-        }
-        return _Base(checkpoint, statement.epoch, Walk(statement.position, statement.order_hash, streams=streams))
+        chains = Chains(_signed_runs(statement, self._log.bases(last=statement.position)))
+        return _Base(checkpoint, statement.epoch, Walk(statement.position, statement.order_hash, chains=chains))
 
     def _refuse(self, broken: ChainBroken) -> NoReturn:
         self._base = None
         raise BadProof(f"nothing was signed, the log is not sound: {broken}. Next: vian verify --full")
+
+
+def _signed_runs(statement: Statement, bases: list[Base]) -> dict[Place, list[Run]]:
+    """The runs whose ends a statement signed; each begins behind the first base above the run before.
+
+    What begins with the stream is told from what begins behind a base by its end alone: an end above the first base is
+    taken as that of a run begun behind it, since nothing can be appended again where the two are one.
+    """
+    begun: dict[Place, list[Base]] = {}
+    for base in sorted(bases, key=lambda each: each.sequence):
+        begun.setdefault(base.place, []).append(base)
+    runs: dict[Place, list[Run]] = {}
+    for head in sorted(statement.heads, key=lambda each: each.sequence):
+        place = (head.stream, head.epoch)
+        there = runs.setdefault(place, [])
+        end = there[-1].sequence if there else -1
+        after, after_hash = next(
+            ((base.sequence, base.chain_hash) for base in begun.get(place, ()) if end < base.sequence < head.sequence),
+            (0, GENESIS),
+        )
+        there.append(Run(after, after_hash, head.sequence, head.chain_hash, statement.position))
+    return runs
 
 
 def newest_checkpoint(log: Log, station: str) -> tuple[Segment, SignedCheckpoint] | None:

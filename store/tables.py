@@ -87,6 +87,37 @@ segments = sa.Table(
     comment="The log: one row is one append of one stream, immutable.",
 )
 
+stream_bases = sa.Table(
+    "stream_bases",
+    metadata,
+    sa.Column("stream_id", sa.BigInteger, sa.ForeignKey("streams.id", name="stream_bases_stream")),
+    sa.Column("sequence", sa.BigInteger, nullable=False, comment="a run of the stream begins behind it"),
+    sa.Column("chain_hash", pg.BYTEA, nullable=False, comment="chain hash after it, SHA-256"),
+    sa.Column(
+        "position",
+        sa.BigInteger,
+        nullable=False,
+        comment="position of the segment that begins the run; 0 until its append has one",
+    ),
+    sa.Column(
+        "filled_sequence",
+        sa.BigInteger,
+        nullable=False,
+        comment="newest event of the run below; where it is the base itself, the two runs are one",
+    ),
+    sa.Column("filled_hash", pg.BYTEA, nullable=False, comment="chain hash after it, SHA-256"),
+    sa.PrimaryKeyConstraint("stream_id", "sequence", name="stream_bases_pkey"),
+    sa.CheckConstraint("sequence > 0 and octet_length(chain_hash) = 32", name="stream_bases_base"),
+    sa.CheckConstraint(
+        "filled_sequence >= 0 and filled_sequence <= sequence and octet_length(filled_hash) = 32 "
+        "and (filled_sequence < sequence or filled_hash = chain_hash)",
+        name="stream_bases_filled",
+    ),
+    sa.Index("stream_bases_open", "stream_id", "sequence", postgresql_where=sa.text("filled_sequence < sequence")),
+    sa.Index("stream_bases_position", "position"),
+    comment="Where a stream was begun without what comes before it, and how far that has come since.",
+)
+
 checkpoints = sa.Table(
     "checkpoints",
     metadata,
@@ -208,6 +239,24 @@ maintenance = sa.Table(
     comment="Backups of this log, and the restore that it came from.",
 )
 
+field_callers = sa.Table(
+    "field_callers",
+    metadata,
+    sa.Column(
+        "transaction",
+        sa.BigInteger,
+        primary_key=True,
+        autoincrement=False,
+        comment="transaction that answers a question",
+    ),
+    sa.Column("stations", pg.ARRAY(sa.Text), comment="stations whose events it may read; null for all"),
+    comment="Whom a question from the field is answered for: seen by its transaction alone, which never commits.",
+    prefixes=["UNLOGGED"],
+)
+
+
+_LOOKED_UP = {"plate_read": "plate_key(plate)"}
+"""Row tables whose events are looked for by a text of theirs: what is looked at. It and the time have an index."""
 
 _SQL_TYPES: dict[pa.DataType, Any] = {
     pa.bool_(): sa.Boolean(),
@@ -241,7 +290,7 @@ def projection_table(event_type: type[EventType], into: sa.MetaData) -> sa.Table
         if field.name != "time"
     ]
     name = event_type.type_name
-    return sa.Table(
+    table = sa.Table(
         name,
         into,
         sa.Column("station", sa.Text, nullable=False, comment="station that recorded it"),
@@ -258,3 +307,7 @@ def projection_table(event_type: type[EventType], into: sa.MetaData) -> sa.Table
         comment=" ".join((event_type.__doc__ or name).split()),
         postgresql_partition_by="RANGE (time)",
     )
+    if name in _LOOKED_UP:
+        key: Any = sa.literal_column(_LOOKED_UP[name]).label("key")
+        sa.Index(f"{name}_key", key, table.c.time, postgresql_ops={"key": "text_pattern_ops"})
+    return table

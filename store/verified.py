@@ -6,17 +6,16 @@ damaged one is refused, and names the log that it is about.
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import datetime
 from typing import Any, Self
 
-from events import Station, StreamName
+from events import GENESIS, Chains, Place, Run, Station, StreamName
 from store.audit import Trail
 from store.errors import BadProof
-from store.log import StreamHead
 from store.proof import NO_HASH
-from store.walk import At, Place, Walk
+from store.walk import Walk
 
 _FORMAT = 1
 
@@ -29,8 +28,8 @@ class Verified:
     order_hash: bytes
     segments: int
     events: int
-    streams: Mapping[Place, tuple[int, bytes, int]]
-    """sequence, chain hash and position of each stream's newest segment"""
+    runs: Mapping[Place, tuple[Run, ...]]
+    """what was there of each stream, with the position of each run's newest segment"""
     trails: Mapping[str, Trail] = field(default_factory=dict)
     digested: int = 0
     """Position up to which the sealed files were compared to the byte; a file that was sealed since was not."""
@@ -43,19 +42,13 @@ class Verified:
     @classmethod
     def of(cls, walk: Walk, trails: Mapping[str, Trail], digested: int) -> Self:
         """What a walk found sound so far."""
-        streams = {place: (at.sequence, at.chain_hash, at.position) for place, at in walk.streams.items()}
+        runs = {place: tuple(each) for place, each in walk.chains.runs.items()}
         copies = {name: _trail(_trail_json(trail)) for name, trail in trails.items()}
-        return cls(walk.position, walk.order_hash, walk.segments, walk.events, streams, copies, digested)
+        return cls(walk.position, walk.order_hash, walk.segments, walk.events, runs, copies, digested)
 
     def walk(self) -> Walk:
         """A walk that goes on from here."""
-        streams = {place: At(*at) for place, at in self.streams.items()}
-        return Walk(self.position, self.order_hash, self.segments, self.events, streams)
-
-    def heads(self) -> Iterator[tuple[StreamHead, int]]:
-        """Where each stream stood, and at which position."""
-        for (name, epoch), (sequence, chain_hash, position) in self.streams.items():
-            yield StreamHead(name, epoch, sequence, chain_hash), position
+        return Walk(self.position, self.order_hash, self.segments, self.events, Chains(self.runs))
 
     def to_text(self, log_name: str) -> str:
         """The text, for the log of this name."""
@@ -66,7 +59,7 @@ class Verified:
             "order_hash": self.order_hash.hex(),
             "segments": self.segments,
             "events": self.events,
-            "streams": [[str(n), e, s, h.hex(), p] for (n, e), (s, h, p) in self.streams.items()],
+            "streams": [_run_row(place, run) for place, runs in self.runs.items() for run in runs],
             "digested": self.digested,
             "trails": [_trail_json(trail) for trail in self.trails.values()],
         }
@@ -89,11 +82,24 @@ class Verified:
         if said["log"] != log_name:
             raise BadProof(f"it is about another log: {said['log']}, this one is {log_name}")
         trails = {str(trail.station): trail for trail in map(_trail, said["trails"])}
-        streams = {(StreamName.parse(n), e): (s, bytes.fromhex(h), p) for n, e, s, h, p in said["streams"]}
+        runs: dict[Place, tuple[Run, ...]] = {}
+        for row in said["streams"]:
+            place = (StreamName.parse(row[0]), row[1])
+            runs[place] = (*runs.get(place, ()), _run(*row[2:]))
         order_hash = bytes.fromhex(said["order_hash"])
         return cls(
-            said["position"], order_hash, said["segments"], said["events"], streams, trails, said.get("digested", 0)
+            said["position"], order_hash, said["segments"], said["events"], runs, trails, said.get("digested", 0)
         )
+
+
+def _run_row(place: Place, run: Run) -> list[Any]:
+    """A run as JSON has it; where it begins is said of those that do not begin with the stream."""
+    behind = [run.after, run.after_hash.hex()] if run.after else []
+    return [str(place[0]), place[1], run.sequence, run.chain_hash.hex(), run.position, *behind]
+
+
+def _run(sequence: int, chain_hash: str, position: int, after: int = 0, after_hash: str = GENESIS.hex()) -> Run:
+    return Run(after, bytes.fromhex(after_hash), sequence, bytes.fromhex(chain_hash), position)
 
 
 def _trail_json(trail: Trail) -> dict[str, Any]:
@@ -108,11 +114,14 @@ def _trail_json(trail: Trail) -> dict[str, Any]:
         "position": trail.position,
         "signed_at": None if trail.signed_at is None else trail.signed_at.isoformat(),
         "checkpoints": trail.checkpoints,
-        "heads": [[str(name), epoch, s, h.hex()] for (name, epoch), (s, h) in trail.heads.items()],
+        "heads": [[str(n), epoch, s, h.hex()] for (n, epoch), signed in trail.heads.items() for s, h in signed.items()],
     }
 
 
 def _trail(said: dict[str, Any]) -> Trail:
+    heads: dict[Place, dict[int, bytes]] = {}
+    for name, epoch, sequence, chain_hash in said["heads"]:
+        heads.setdefault((StreamName.parse(name), epoch), {})[sequence] = bytes.fromhex(chain_hash)
     return Trail(
         station=Station(said["station"]),
         epoch=said["epoch"],
@@ -124,5 +133,5 @@ def _trail(said: dict[str, Any]) -> Trail:
         position=said["position"],
         signed_at=None if said["signed_at"] is None else datetime.fromisoformat(said["signed_at"]),
         checkpoints=said["checkpoints"],
-        heads={(StreamName.parse(n), e): (s, bytes.fromhex(h)) for n, e, s, h in said["heads"]},
+        heads=heads,
     )

@@ -5,20 +5,18 @@ asks the database for nothing. `pages` reads large segments ahead, in a thread o
 hashes, and holds two pages of about `PAGE_BYTES` at most.
 """
 
-import hashlib
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 
-from events import GENESIS, Segment, StreamName, chain
+from events import Chains, Header, Place, Run, Segment, StreamName
+from events.chains import NOTHING
 from events.segment import microseconds
 from store.errors import UNKNOWN, ChainBroken, SealedFileDamaged
-from store.log import Log, StreamHead
+from store.log import Log
 from store.proof import NO_HASH, order_hash
 from store.reading import Filter
-
-Place = tuple[StreamName, int]
-"""A stream and its epoch."""
+from store.standing import Standing, StreamHead
 
 PAGE_BYTES = 4 * 1024 * 1024
 _READ_AHEAD_BYTES = 100_000
@@ -26,15 +24,6 @@ _READ_AHEAD_BYTES = 100_000
 _PAGE_SEGMENTS_MAX = 500
 _PAGE_SEGMENTS_FIRST = 64
 _EVERYTHING = Filter(with_hollow=True)
-
-
-@dataclass(slots=True)
-class At:
-    """Where a stream stands on the walk."""
-
-    sequence: int = 0
-    chain_hash: bytes = GENESIS
-    position: int = 0
 
 
 @dataclass(slots=True)
@@ -46,13 +35,18 @@ class Walk:
     """see `store.proof.order_hash`; starts anew from what a signature says where the two differ"""
     segments: int = 0
     events: int = 0
-    streams: dict[Place, At] = field(default_factory=dict)
+    chains: Chains = field(default_factory=Chains)
     holes: dict[int, int] = field(default_factory=dict)
     """First and last position of each range that is missing."""
     missed: set[int] = field(default_factory=set)
     """The holes that a stream misses."""
     broken: dict[StreamName, ChainBroken] = field(default_factory=dict)
     """The first break of each broken stream."""
+    hollow: dict[Place, list[tuple[int, int]]] = field(default_factory=dict)
+    """First and last sequence of the ranges without payload, of each stream."""
+    hollow_at: dict[tuple[Place, int], int] = field(default_factory=dict)
+    """Position of the first segment of each of these ranges, by its first sequence."""
+    hollow_segments: int = 0
     faults: list[ChainBroken] = field(default_factory=list)
     """What is wrong with no stream in particular: order, signatures, sealed files."""
 
@@ -62,24 +56,44 @@ class Walk:
         return not (self.broken or self.holes or self.faults)
 
     def heads(self) -> tuple[StreamHead, ...]:
-        """Where the streams stand."""
-        return tuple(StreamHead(name, epoch, at.sequence, at.chain_hash) for (name, epoch), at in self.streams.items())
+        """Where the streams stand; of one with gaps, where each run of it ends."""
+        return tuple(
+            StreamHead(name, epoch, run.sequence, run.chain_hash)
+            for (name, epoch), runs in self.chains.runs.items()
+            for run in runs
+        )
+
+    def end(self, place: Place) -> Run:
+        """The newest run of a stream."""
+        runs = self.chains.runs.get(place)
+        return runs[-1] if runs else NOTHING
 
     def take(self, segment: Segment) -> None:
         """Go to the segment and check it."""
         self.go_to(segment.position)
-        header = segment.header
-        at = self.streams.setdefault((header.stream, header.epoch), At())
-        if header.stream not in self.broken:
-            fault = self._fault(segment, at)
-            if fault is not None:
-                self.broken[header.stream] = fault
-        at.sequence, at.chain_hash, at.position = header.last_sequence, segment.chain_hash, segment.position
+        if segment.stream not in self.broken and (fault := self._fault(segment)) is not None:
+            self.broken[segment.stream] = fault
+        if segment.stream in self.broken:
+            self.chains.take_broken(segment)
+        else:
+            self.chains.take(segment)
         self.order_hash = order_hash(
             self.order_hash, segment.position, microseconds(segment.recorded_at), segment.chain_hash
         )
         self.segments += 1
-        self.events += header.event_count
+        self.events += segment.header.event_count
+        if not segment.has_payload:
+            self._take_hollow(segment.header, segment.position)
+
+    def _take_hollow(self, header: Header, position: int) -> None:
+        self.hollow_segments += 1
+        place = (header.stream, header.epoch)
+        spans = self.hollow.setdefault(place, [])
+        if spans and spans[-1][1] + 1 == header.first_sequence:
+            spans[-1] = (spans[-1][0], header.last_sequence)
+        else:
+            spans.append((header.first_sequence, header.last_sequence))
+            self.hollow_at[place, header.first_sequence] = position
 
     def take_unreadable(self, broken: ChainBroken) -> None:
         """Go to a segment that cannot be read."""
@@ -99,7 +113,7 @@ class Walk:
         """Compare the end of a stream with what the log says of it."""
         if head.stream in self.broken:
             return
-        seen = self.streams.get((head.stream, head.epoch), At())
+        seen = self.end((head.stream, head.epoch))
         if seen.sequence < head.sequence:
             fault = self._missing(head.stream, seen, head.sequence, None)
         elif seen.sequence > head.sequence:
@@ -111,6 +125,20 @@ class Walk:
         else:
             return
         self.broken[head.stream] = fault
+
+    def check_runs(self, standing: Standing) -> None:
+        """Compare all that is here of the streams with what the log's heads and bases say."""
+        for head in standing.heads:
+            self.check_head(head)
+        for base in self.chains.not_begun():
+            if base.position <= self.position:
+                reason = f"it has a base at sequence {base.sequence}, position {base.position}, where no run begins"
+                self.broken.setdefault(base.stream, ChainBroken(base.stream, base.position, base.sequence + 1, reason))
+        for place, runs in self.chains.runs.items():
+            said = standing.runs.get(place, [])
+            if runs != said and place[0] not in self.broken:
+                reason = f"it holds the sequences {_told(runs)}, its head and bases say {_told(said)}"
+                self.broken[place[0]] = ChainBroken(place[0], runs[-1].position or None, runs[0].after + 1, reason)
 
     def is_broken_between(self, first: int, last: int) -> bool:
         """Whether something was wrong with a range of positions."""
@@ -129,27 +157,19 @@ class Walk:
         self.holes[damage.position] = self.position = damage.last_position
         self.missed.add(damage.position)
 
-    def _fault(self, segment: Segment, at: At) -> ChainBroken | None:
-        """What is wrong with a segment that follows the stream's state; None when nothing is."""
-        header = segment.header
-        chain_hash = chain(at.chain_hash, header, segment.payload_hash)
-        if not segment.is_payload_whole:
-            payload_hash = hashlib.sha256(segment.payload).digest()
-            reason = f"the payload's hash is {payload_hash.hex()}, recorded was {segment.payload_hash.hex()}"
-        elif header.first_sequence > at.sequence + 1:
-            return self._missing(header.stream, at, header.first_sequence - 1, segment.position)
-        elif header.first_sequence != at.sequence + 1:
-            reason = f"it follows sequence {at.sequence}, so it must begin at {at.sequence + 1}"
-        elif chain_hash != segment.chain_hash:
-            reason = (
-                f"the chain hash is {chain_hash.hex()}, recorded was {segment.chain_hash.hex()}; its header was changed"
-            )
-        else:
+    def _fault(self, segment: Segment) -> ChainBroken | None:
+        """What is wrong with the next segment; None when nothing is."""
+        fault = self.chains.fault(segment)
+        if fault is None:
             return None
-        return ChainBroken(header.stream, segment.position, header.first_sequence, reason)
+        header = segment.header
+        if fault.missing is not None:
+            run = self.chains.below((header.stream, header.epoch), header.first_sequence)
+            return self._missing(header.stream, run, header.first_sequence - 1, segment.position)
+        return ChainBroken(header.stream, segment.position, header.first_sequence, fault.reason)
 
-    def _missing(self, name: StreamName, at: At, last_sequence: int, position: int | None) -> ChainBroken:
-        """Events that a stream lacks behind its state, at the first position where they may have been."""
+    def _missing(self, name: StreamName, at: Run, last_sequence: int, position: int | None) -> ChainBroken:
+        """Events that a stream lacks behind a run, at the first position where they may have been."""
         holes = [first for first in self.holes if first > at.position]
         self.missed.update(holes)
         reason = f"sequences {at.sequence + 1} to {last_sequence} are missing"
@@ -190,6 +210,10 @@ def _readable(log: Log, first: int, last: int) -> Iterator[list[Segment]]:
     """Pages before a segment that cannot be read; they can."""
     if first <= last:
         yield list(log.read_all(first, to_position=last, with_hollow=True))
+
+
+def _told(runs: list[Run]) -> str:
+    return ", ".join(f"{run.after + 1} to {run.sequence}" for run in runs) or "none"
 
 
 def _hole(first: int, last: int) -> ChainBroken:

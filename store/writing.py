@@ -18,7 +18,8 @@ from store.errors import ChainBroken, LogUnavailable, SequenceConflict, StoreErr
 APPEND = (
     "select positions, first_sequences, chain_hashes, duplicates from append_segments("
     "%s::int[], %s::text[], %s::text[], %s::text[], %s::text[], %s::text[], %s::bytea[], %s::int[], %s::int[], "
-    "%s::bigint[], %s::int[], %s::int[], %s::timestamptz[], %s::timestamptz[], %s::bytea[], %s::int[], %s, %s, %s)"
+    "%s::bigint[], %s::int[], %s::int[], %s::timestamptz[], %s::timestamptz[], %s::bytea[], %s::int[], %s, %s, %s, "
+    "%b::bytea[])"
 )
 _HASH_BYTES = 32
 
@@ -90,7 +91,14 @@ def append_error(error: psycopg.Error, drafts: Sequence[Draft], expected: Sequen
     detail = json.loads(error.diag.message_detail or "{}")
     stream = drafts[detail["index"]].stream
     if refusal == "VA003":
-        return ChainBroken(stream, None, detail["first_sequence"], "the chain hash differs from the one that was sent")
+        other = (
+            f"that behind which sequence {detail['base'] + 1} was begun"
+            if "base" in detail
+            else "the one that was sent"
+        )
+        return ChainBroken(stream, None, detail["first_sequence"], f"the chain hash differs from {other}")
     wanted = (expected or [None] * len(drafts))[detail["index"]]
     assert wanted is not None, "only an append with an expected sequence can conflict"
-    return SequenceConflict(stream, wanted, detail["actual"], detail.get("stored_hash"), detail.get("sent_hash"))
+    return SequenceConflict(
+        stream, wanted, detail["actual"], detail.get("stored_hash"), detail.get("sent_hash"), detail.get("until")
+    )

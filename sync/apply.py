@@ -212,6 +212,7 @@ def store_records(
                 [record.segment.header.first_sequence - 1 for record in records],
                 epochs=[record.segment.header.epoch for record in records],
                 chain_hashes=[record.segment.chain_hash for record in records],
+                bases=[record.previous if record.begins_run else None for record in records],
             )
     except (SequenceConflict, ChainBroken) as error:
         raise _conflict(log, records, error) from error

@@ -19,7 +19,9 @@ from sync.exchange import DEADLINE_S, Exchange
 from sync.runs import Point, Runs, StreamKey, end_of
 from sync.wire import (
     ANSWER_BYTES_MAX,
+    CHALLENGE_BYTES_MAX,
     FOLLOWS_HEADER,
+    HELLO_ANSWER_BYTES_MAX,
     ORDER_HEADER,
     PATH,
     PROTOCOL,
@@ -137,7 +139,7 @@ class Central:
             cursors_hash=None if greeting.believed is None else cursors_hash(greeting.believed.items()),
             checkpoint=greeting.checkpoint,
         )
-        answer = self._parsed(HelloAnswer, "hello", said.encoded(), JSON)
+        answer = self._parsed(HelloAnswer, "hello", said.encoded(), JSON, HELLO_ANSWER_BYTES_MAX)
         if answer.protocol not in PROTOCOLS:
             raise BadAnswer(f"central at {self.address} answers in protocol {answer.protocol}, which was not offered")
         if self._signer is not None:
@@ -157,7 +159,7 @@ class Central:
         """
         headers = {"Content-Type": RECORD_TYPE, ORDER_HEADER: order, FOLLOWS_HEADER: follows}
         given = {name: value for name, value in headers.items() if value}
-        return self._parsed(SegmentsAnswer, "segments", encode_records(records), given)
+        return self._parsed(SegmentsAnswer, "segments", encode_records(records), given, ANSWER_BYTES_MAX)
 
     def countersign(self, request: CountersignRequest) -> Countersigned:
         """Central's signature under a checkpoint of this station.
@@ -165,13 +167,16 @@ class Central:
         Raises:
             CentralError: There is none.
         """
-        return self._parsed(Countersigned, "countersign", request.encoded(), JSON)
+        return self._parsed(Countersigned, "countersign", request.encoded(), JSON, ANSWER_BYTES_MAX)
 
     def _challenge(self, station: Station) -> Challenge:
-        return self._parsed(Challenge, "challenge", ChallengeRequest(station=station).encoded(), JSON)
+        said = ChallengeRequest(station=station).encoded()
+        return self._parsed(Challenge, "challenge", said, JSON, CHALLENGE_BYTES_MAX)
 
-    def _parsed(self, message_type: type[M], endpoint: str, body: bytes, headers: Mapping[str, str]) -> M:
-        data = self._exchange.post(endpoint, body, headers, ANSWER_BYTES_MAX)
+    def _parsed(
+        self, message_type: type[M], endpoint: str, body: bytes, headers: Mapping[str, str], answer_bytes_max: int
+    ) -> M:
+        data = self._exchange.post(endpoint, body, headers, answer_bytes_max)
         try:
             return parse(message_type, data)
         except WireError as error:

@@ -8,12 +8,12 @@ from collections.abc import Sequence
 
 import httpx
 
-from events import StreamName
+from events import GENESIS, Run, StreamName
 from sync.client import JSON, Greeting
 from sync.errors import BadAnswer, CentralFailed, ProtocolMismatch, WireError
 from sync.exchange import DEADLINE_S, UPGRADE, Exchange
 from sync.grants import checked_token
-from sync.runs import ZEROS, Run, StreamKey
+from sync.runs import StreamKey
 from sync.wire import RECORD_TYPE, Countersigned, CountersignRequest, Cursor, Record, parse, program
 from sync.wire import HelloAnswer as HelloAnswer2
 from sync.wire import SegmentsAnswer as SegmentsAnswer2
@@ -120,7 +120,7 @@ def _cursors(states: Sequence[StreamState]) -> tuple[Cursor, ...]:
     return tuple(
         Cursor.of(
             StreamKey(StreamName.parse(state.stream), state.epoch),
-            [Run(0, ZEROS, state.sequence, bytes.fromhex(state.chain_hash))] if state.sequence else [],
+            [Run(0, GENESIS, state.sequence, bytes.fromhex(state.chain_hash))] if state.sequence else [],
         )
         for state in states
     )

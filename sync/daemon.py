@@ -6,7 +6,8 @@ the daemon keeps nothing that a kill could lose. After any doubt (no answer, a r
 says hello again before it sends. Clocks and randomness are passed in. With one request in flight a step is
 over when its request is answered; with more, a step launches one or takes in one that has landed.
 
-Order: `sync.scheduling`. A stream whose history differs from central's is stopped; the others go on.
+Order: `sync.scheduling`. A stream whose history differs from central's, as two hellos say, is stopped; the others go
+on.
 """
 
 import threading
@@ -17,7 +18,7 @@ from itertools import pairwise
 from time import monotonic as steady
 
 from events import Station
-from store import Log, LogUnavailable
+from store import Log, LogUnavailable, SequenceConflict
 from sync.bell import Bell
 from sync.chores import Chores
 from sync.client import Greeting, Link
@@ -96,6 +97,7 @@ class Daemon:
         self._caps = Caps()
         self._terms = _Terms()
         self._sent: dict[StreamKey, _Sent] = {}
+        self._doubts: dict[StreamKey, str] = {}
         self._state: State = "starting"
         self._is_set = False
         self._is_log_away = False
@@ -196,8 +198,7 @@ class Daemon:
                 self._is_log_away = False
             return self._do()
         except StreamStopped as error:
-            self._standing.stopped[StreamKey(error.stream, error.epoch)] = error
-            return Step("stopped", error=error)
+            return self._doubted_or_stopped(error)
         except LogUnavailable as error:
             self._is_log_away = True
             return self._failed(error)
@@ -225,7 +226,10 @@ class Daemon:
 
     def _set_plan(self) -> Step:
         """Have the log name the plan, unless it does, and follow what it names."""
-        planned = set_plan(self._log, self._station, self._plan, self._central.address, self._now())
+        try:
+            planned = set_plan(self._log, self._station, self._plan, self._central.address, self._now())
+        except SequenceConflict:
+            return Step("planned")  # Others were faster: look again.
         self._is_set = True
         self._follow(planned.plan, (planned.epoch, planned.sequence))
         return Step("planned")
@@ -383,6 +387,7 @@ class Daemon:
         self._sizer.took(parcel.size, landed.seconds)
         self._meter.took(parcel.size * (1 + len(self._flights)), landed.seconds)
         for each in parcel.filled:
+            self._doubts.pop(each.key, None)
             sent = self._sent.setdefault(each.key, _Sent(each.time_max))
             sent.until = max(sent.until, each.time_max)
             sent.size += each.size
@@ -396,6 +401,17 @@ class Daemon:
         if isinstance(error, Refused) and error.code == "false_header":
             self._stop_refused(error)
         return Step("failed", self._contact.pause_after(error), error=error)
+
+    def _doubted_or_stopped(self, error: StreamStopped) -> Step:
+        """Stop the stream if two hellos lead to the same: one answer alone may have been damaged on its way."""
+        key = StreamKey(error.stream, error.epoch)
+        if self._doubts.get(key) != str(error):
+            self._doubts[key] = str(error)
+            self._standing.doubt()
+            self._outbox.forget()
+            return Step("doubted", self._pace.backoff_s)
+        self._standing.stopped[key] = error
+        return Step("stopped", error=error)
 
     def _stop_refused(self, error: Refused) -> None:
         """Stop the stream whose segment is refused for what it says, so that the others go on."""

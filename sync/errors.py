@@ -3,8 +3,10 @@
 SyncError
 ├── WireError            bytes or JSON that are not this protocol's
 ├── PlanError            a plan that cannot be used
+├── FilterFailed         a plan's condition cannot be worked out for an event
 ├── GrantError           a token or a table of tokens that cannot be used
 ├── BadSignature         a request that is not signed as it must be
+├── SelectRefused        SQL that a station may not ask
 ├── Refusal              central: a request that is refused, with the answer to give
 ├── CentralError         station: central did not do what it was asked
 │   ├── CentralUnreachable   no connection, a connection lost, no answer in time
@@ -22,8 +24,8 @@ SyncError
 
 from dataclasses import dataclass
 
-from events import StreamName
-from sync.runs import Run, StreamKey
+from events import Run, StreamName
+from sync.runs import StreamKey
 
 
 class SyncError(Exception):
@@ -38,6 +40,10 @@ class PlanError(SyncError):
     """A plan that cannot be used."""
 
 
+class FilterFailed(SyncError):
+    """A plan's condition cannot be worked out for an event: a number that overflows, most often."""
+
+
 class GrantError(SyncError):
     """A token or a table of tokens that cannot be used."""
 
@@ -49,6 +55,10 @@ class BadSignature(SyncError):
         super().__init__(reason)
         self.key_id = key_id
         self.is_key_known = is_key_known
+
+
+class SelectRefused(SyncError):
+    """SQL that a station may not ask: what, and where."""
 
 
 @dataclass(eq=False)

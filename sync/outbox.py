@@ -9,12 +9,11 @@ It knows no network. It keeps open readers between requests, so that a backlog i
 any doubt they must be forgotten.
 """
 
-import hashlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 
-from events import Segment, chain
+from events import Segment, fault_behind
 from store import ChainBroken, Log, StreamHead
 from sync.errors import Damaged, HeadsDisagree, SegmentRefused
 from sync.runs import Gap, Point, StreamKey
@@ -202,17 +201,9 @@ def _check_end(here: Point, gap: Gap, there: Point) -> None:
 
 def _check_segment(segment: Segment, at: Point) -> None:
     """Nothing, if the segment is whole and goes on from there."""
-    header = segment.header
-    payload_hash = hashlib.sha256(segment.payload).digest() if segment.has_payload else segment.payload_hash
-    if header.first_sequence != at.sequence + 1:
-        reason = f"it follows sequence {at.sequence}, so it must begin at {at.sequence + 1}"
-    elif payload_hash != segment.payload_hash:
-        reason = f"the payload's hash is {payload_hash.hex()}, recorded was {segment.payload_hash.hex()}"
-    elif chain(at.chain_hash, header, payload_hash) != segment.chain_hash:
-        reason = "its chain hash does not follow from the segment before and its header"
-    else:
-        return
-    raise Damaged(header.stream, header.epoch, header.first_sequence, reason)
+    reason = fault_behind(segment, at.sequence, at.chain_hash)
+    if reason is not None:
+        raise Damaged(segment.stream, segment.header.epoch, segment.header.first_sequence, reason)
 
 
 def _check_size(segment: Segment, size: int, bytes_max: int) -> None:

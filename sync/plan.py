@@ -34,6 +34,7 @@ from pydantic import (
 
 from events import InvalidName, Source, Station, StreamName
 from sync.errors import PlanError
+from sync.filters import parse as parse_condition
 from sync.plan_files import FILE_BYTES_MAX, document
 from sync.plan_values import duration, no_text, rate, time_text, truth, whole_seconds
 
@@ -157,6 +158,13 @@ class Entry(Pattern):
     sends: Annotated[bool, BeforeValidator(truth), Field(alias="send")] = True
     """Whether its streams are sent at all."""
 
+    @field_validator("where")
+    @classmethod
+    def _is_condition(cls, text: str | None) -> str | None:
+        if text is not None:
+            parse_condition(text)
+        return text
+
     @model_validator(mode="after")
     def _is_whole(self) -> Self:
         if self.now is not None and self.begin != "now":
@@ -190,7 +198,12 @@ class Entry(Pattern):
     @property
     def filter_hash(self) -> str:
         """What names the filter in the names of derived streams: 8 hexadecimal digits; the pattern is no part of it."""
-        return _filter_hash(self.where, tuple(sorted(set(self.leave_out))), self.since)
+        return self.filter_digest.hex()[:HASH_DIGITS]
+
+    @property
+    def filter_digest(self) -> bytes:
+        """SHA-256 of the filter's canonical form: from, leave_out, where."""
+        return _filter_digest(self.where, tuple(sorted(set(self.leave_out))), self.since)
 
 
 class GiveUp(Pattern):
@@ -389,10 +402,10 @@ def _said(entry: Entry) -> dict[str, Any]:
 
 
 @lru_cache(maxsize=4096)
-def _filter_hash(where: str | None, leave_out: tuple[str, ...], since: datetime | None) -> str:
+def _filter_digest(where: str | None, leave_out: tuple[str, ...], since: datetime | None) -> bytes:
     data = {"from": "beginning" if since is None else time_text(since), "leave_out": leave_out, "where": where}
     text = json.dumps(data, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
-    return hashlib.sha256(text.encode()).hexdigest()[:HASH_DIGITS]
+    return hashlib.sha256(text.encode()).digest()
 
 
 def _reason(name: str, error: ValidationError, lines: Mapping[tuple[Hashable, ...], int]) -> str:

@@ -54,7 +54,9 @@ def planned_in(log: Log, station: Station) -> Planned | None:
 
 def _planned_at(log: Log, head: StreamHead) -> Planned:
     place = f"the plan at {head.stream}/{head.sequence}"
-    (segment,) = log.read(head.stream, head.sequence, epoch=head.epoch)
+    segment = next(log.read(head.stream, head.sequence, epoch=head.epoch), None)
+    if segment is None:
+        raise PlanError(f"{place} has left this station's disk. Next: vian sync plan set FILE")
     try:
         event = events_of(decode(segment, log.catalogue))[-1]
         assert isinstance(event, SyncPlanned)

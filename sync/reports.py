@@ -62,7 +62,9 @@ class Chore(Protocol):
 class Step:
     """What one step did."""
 
-    did: Literal["planned", "hello", "sending", "sent", "countersigned", "chore", "nothing", "stopped", "failed"]
+    did: Literal[
+        "planned", "hello", "sending", "sent", "countersigned", "chore", "nothing", "doubted", "stopped", "failed"
+    ]
     """`sending`: something is under way; `sent`: it was acknowledged."""
     sleep_s: float = 0.0
     """How long nothing needs to be done, unless the log grows."""

@@ -8,9 +8,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from events import StreamName
-
-ZEROS = bytes(32)
+from events import GENESIS, Run, StreamName
 
 
 class StreamKey(NamedTuple):
@@ -18,16 +16,6 @@ class StreamKey(NamedTuple):
 
     stream: StreamName
     epoch: int
-
-
-@dataclass(frozen=True, slots=True)
-class Run:
-    """A contiguous range of a stream's events."""
-
-    after: int
-    after_hash: bytes
-    sequence: int
-    chain_hash: bytes
 
 
 Runs = tuple[Run, ...]
@@ -42,7 +30,7 @@ class Point:
     chain_hash: bytes
 
 
-BEGINNING = Point(0, ZEROS)
+BEGINNING = Point(0, GENESIS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +83,7 @@ def split(gap: Gap, mark: Point) -> tuple[Gap, Gap]:
 def with_range(runs: Iterable[Run], after: Point, end: Point) -> Runs:
     """The runs once the events behind `after`, up to `end`, are there too.
 
-    >>> with_range([Run(0, ZEROS, 4, b"d")], Point(4, b"d"), Point(6, b"f"))[-1].sequence
+    >>> with_range([Run(0, GENESIS, 4, b"d")], Point(4, b"d"), Point(6, b"f"))[-1].sequence
     6
     """
     joined = Run(after.sequence, after.chain_hash, end.sequence, end.chain_hash)

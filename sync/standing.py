@@ -175,7 +175,7 @@ class Standing:
             try:
                 start = self._starts.start_of(head, entry.since, self._log_head)
             except StreamStopped as error:
-                self.stopped[key] = self._trouble = error
+                self._trouble = error
                 start = here
             self._planned[key] = Planned(key, entry, start, here, self._mark(key, entry, start, here))
             self._wait_or_not(key)

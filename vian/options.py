@@ -42,8 +42,11 @@ def settings_for(data_dir: Path | None = None, dsn: str | None = None, **given: 
 def open_from(settings: Settings, *, data_dir: Path | None = None) -> Log:
     """The log that the settings name; a data directory on the command line beats an address in a file."""
     if settings.dsn is not None and data_dir is None:
-        return open_log(dsn=settings.dsn.get_secret_value())
-    return open_log(data_dir=settings.data_dir)
+        log = open_log(dsn=settings.dsn.get_secret_value())
+    else:
+        log = open_log(data_dir=settings.data_dir)
+    log.room.bytes_min = settings.disk_free_mb_min * 2**20
+    return log
 
 
 def has_log(data_dir: Path) -> bool:

@@ -11,6 +11,7 @@ import structlog
 
 from events import station_name
 from store import Log
+from sync.checking import check_filters
 from sync.client_v1 import CentralV1
 from sync.daemon import Daemon
 from sync.deadlines import bounded
@@ -50,12 +51,15 @@ def plan_at_start(log: Log, station: str, path: Path | None, now: Callable[[], d
     """The plan with which a station begins: the file's, else the one that its log names last, else the default one.
 
     Raises:
-        PlanError: The file says none, or the log's plan does not read here.
+        PlanError: The file says none, or one with a filter that does not fit its types, or the log's plan does not
+            read here.
     """
     planned = planned_in(log, station_name(station))
     if path is None and planned is not None:
         return planned.plan
-    return load_plan(path).resolved(now(), planned.plan if planned else None)
+    plan = load_plan(path).resolved(now(), planned.plan if planned else None)
+    check_filters(plan, log.catalogue)
+    return plan
 
 
 @contextmanager

@@ -110,6 +110,11 @@ class Settings(BaseSettings):
     """file that keeps what live extractors append while the database is away; in data_dir by default"""
     database_wait_s: Annotated[float, Field(ge=0)] = 60.0
     """how long an append waits for a database that is away, in seconds"""
+    disk_free_mb_min: Annotated[int, Field(ge=0)] = 256
+    """what must stay free on an embedded log's disk, in MiB: below, what the plan gives up goes, or recording stops;
+    0: never"""
+    prune_after_days: Annotated[float, Field(ge=0)] | None = None
+    """age in days at which payloads that central countersigned leave this station's disk; never by default"""
 
     rows_keep_days: Annotated[int, Field(ge=1)] | None = None
     """age in days at which a day's rows are dropped, by event time; never by default. Events stay in the log"""

@@ -13,7 +13,7 @@ down_revision = "0013"
 branch_labels = None
 depends_on = None
 
-_FUNCTIONS = ("prune_segments", "restore_payload", "plan_resealing", "reseal_file")
+_FUNCTIONS = ("prune_segments", "restore_payload", "repair_segments", "plan_resealing", "reseal_file")
 
 
 def _sql(name: str) -> str:

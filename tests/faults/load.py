@@ -28,6 +28,8 @@ SHARED = StreamName.of("brno", "shared", "track_point")
 SUBMITTED = tuple(StreamName.of("brno", source, "track_point") for source in ("lobby", "door"))
 """Streams of the shared appender."""
 JOURNAL = "journal.sqlite"
+PRELOADED = [__name__, "tests.faults.sync_load"]
+"""What the processes need: imported once, in the process from which they are forked."""
 BATCH_MAX = 5
 WAIT_S = 60.0
 """Longest wait for a process that does what it should."""
@@ -157,7 +159,7 @@ class Process:
     def __init__(self, target: Callable[..., None], *arguments: Any) -> None:
         # Forked from a process that has no threads and has imported all that they need once.
         context = get_context("forkserver")
-        context.set_forkserver_preload([__name__])
+        context.set_forkserver_preload(PRELOADED)
         self.pipe, theirs = context.Pipe()
         self._process = context.Process(target=target, args=(*arguments, theirs), daemon=True)
         self._process.start()
@@ -183,9 +185,13 @@ class Process:
             pass
         return words
 
+    def signal(self, number: int) -> None:
+        """Send it a signal."""
+        os.kill(self._process.pid or 0, number)
+
     def kill(self) -> None:
         """SIGKILL."""
-        os.kill(self._process.pid or 0, signal.SIGKILL)
+        self.signal(signal.SIGKILL)
         self._process.join(WAIT_S)
 
     def close(self) -> None:

@@ -13,6 +13,7 @@ import pytest
 from events import (
     ActivityInterval,
     CameraCalibrated,
+    CheckpointCountersigned,
     CheckpointSigned,
     Draft,
     EventBatch,
@@ -28,13 +29,19 @@ from events import (
     ProcessProgressed,
     ProcessStarted,
     Producer,
+    QueryAnswered,
+    RequestRefused,
     RuleDeployed,
     RuleMissed,
     RuleRetired,
     SceneChanged,
+    SegmentsPruned,
+    SegmentsRepaired,
     SituationDetected,
     SituationShadowed,
     StageDeployed,
+    StationEnrolled,
+    StationRevoked,
     StreamName,
     SyncPlanned,
     Tally,
@@ -110,10 +117,6 @@ def query(log: Log, statement: str, *parameters: Any) -> list[tuple[Any, ...]]:
     """What the database's owner sees."""
     with owner(log) as connection:
         return connection.execute(statement, parameters).fetchall()
-
-
-_BY_GOLDEN = (CameraCalibrated, GroupSeen, Occupancy, PairDistance, SceneChanged, StageDeployed, Tally,
-              ZoneDefined, ZoneRemoved)  # fmt: skip
 
 
 def _golden(event_type: type[EventType]) -> EventType:
@@ -271,6 +274,13 @@ ONE_OF_EACH: tuple[EventType, ...] = (
             Tally,
             ZoneDefined,
             ZoneRemoved,
+            CheckpointCountersigned,
+            QueryAnswered,
+            RequestRefused,
+            SegmentsPruned,
+            SegmentsRepaired,
+            StationEnrolled,
+            StationRevoked,
         )
     ),
 )

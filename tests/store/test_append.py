@@ -57,7 +57,7 @@ def test_a_temporary_table_of_the_writer_does_not_stand_in_for_the_logs(log: Log
                 psycopg.sql.SQL("create temporary table {0} (like public.{0})").format(psycopg.sql.Identifier(table))
             )
         with connection.transaction():
-            Transaction(connection, log.epoch, log.archive).append([draft(GATE, 1, 2)], [0])
+            Transaction(connection, log.epoch, log.archive, log.room).append([draft(GATE, 1, 2)], [0])
         connection.execute("discard temp")
     assert log.stream_head(GATE).sequence == 2
 

@@ -391,8 +391,8 @@ def test_any_changed_byte_of_a_backup_is_found_and_nothing_is_restored(
 @pytest.mark.parametrize(
     "change, reason",
     [
-        ({"payload": b"other"}, "its payload does not have the hash"),
-        ({"payload": b"other", "payload_hash": hashlib.sha256(b"other").digest()}, "its chain hash does not follow"),
+        ({"payload": b"other"}, "the payload's hash is"),
+        ({"payload": b"other", "payload_hash": hashlib.sha256(b"other").digest()}, "the chain hash is"),
         ({"position": 3}, "position 2 is missing"),
     ],
 )
@@ -525,5 +525,8 @@ def test_the_manifest_says_what_is_in_the_backup(log: Log, folder: Path) -> None
         "epoch": 1,
         "sequence": 5,
         "chain_hash": log.stream_head(GATE).chain_hash.hex(),
+        "after": 0,
+        "after_hash": "00" * 32,
     }
+    assert manifest["bases"] == []
     assert (folder / manifest["segments"][0]["name"]).stat().st_size == manifest["segments"][0]["bytes"]

@@ -56,7 +56,7 @@ def test_the_reader_sees_rows_and_stream_heads_and_changes_nothing(log: Log) -> 
             "select * from segments",
             "select * from checkpoints",
             "delete from track_point",
-            "select append_segments(" + ", ".join(["null"] * 19) + ")",
+            "select append_segments(" + ", ".join(["null"] * 20) + ")",
             "select ensure_partition('track_point', '2026-01-01')",
         ):
             with pytest.raises(psycopg.errors.InsufficientPrivilege):
@@ -160,7 +160,7 @@ def test_the_reader_sees_rows_and_heads_and_nothing_else_of_any_table(projected:
 
 
 @on_both
-@pytest.mark.parametrize("role", ["vian_writer", "vian_reader"])
+@pytest.mark.parametrize("role", ["vian_writer", "vian_reader", "vian_field"])
 def test_no_role_owns_or_makes_anything_or_acts_as_another(log: Log, role: str) -> None:
     assert query(log, "select count(*) from pg_class where relowner = %s::regrole", role) == [(0,)]
     assert query(

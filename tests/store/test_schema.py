@@ -280,7 +280,7 @@ def test_a_role_that_may_make_roles_and_tables_can_set_up_its_own_database(serve
         "create role founder login createrole", f"alter database {name} owner to founder", "create role stranger login"
     )
     # Another server's first user: the roles are not there yet.
-    taken = ("vian_writer", "vian_reader", "vian_archiver", "vian_pruner")
+    taken = ("vian_writer", "vian_reader", "vian_archiver", "vian_pruner", "vian_field")
     as_founder = sa.make_url(empty).set(username="founder").render_as_string(hide_password=False)
     try:
         for role in taken:
@@ -320,7 +320,7 @@ def test_an_owner_to_whom_the_roles_of_another_database_are_not_granted_is_told_
     name = sa.make_url(empty).database
     server.execute("create role founder login createrole", f"alter database {name} owner to founder")
     as_founder = sa.make_url(empty).set(username="founder").render_as_string(hide_password=False)
-    step = 'grant vian_writer, vian_reader, vian_archiver, vian_pruner to "founder" with admin option'
+    step = 'grant vian_writer, vian_reader, vian_archiver, vian_pruner, vian_field to "founder" with admin option'
     try:
         with pytest.raises(LogUnavailable, match=f"Next: .*as a superuser: {step}$"):
             open_log(dsn=as_founder)
@@ -348,8 +348,9 @@ def test_a_role_that_may_make_nothing_is_told_what_to_do(server: Server, empty: 
 def test_a_log_of_before_keeps_its_rows_and_gets_what_is_new(empty: str, monkeypatch: pytest.MonkeyPatch) -> None:
     run(empty, command.upgrade, "0003")
     with Log(empty, Catalogue.shipped()) as log, monkeypatch.context() as before:
-        # The append function of then did not ask whether sealed files are compared.
-        before.setattr(log_module, "APPEND", APPEND.removesuffix(", %s)") + ") where %s::boolean is not null")
+        # The append function of then did not ask whether sealed files are compared, and knew no bases.
+        asked = APPEND.removesuffix(", %s, %b::bytea[])") + ") where %s::boolean is not null and %b::bytea[] is null"
+        before.setattr(log_module, "APPEND", asked)
         append(log, GATE, 2)
         log.append([encode(YARD, points(7, 7), PRODUCER)], epochs=[2])
         log.append([draft_of(ProcessFinished(time=NOON, process="p", frames=1, events=1, gaps=0))])

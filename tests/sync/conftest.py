@@ -87,6 +87,7 @@ class Faults(httpx.BaseTransport):
         "timeout after sending",
         "truncated request",
         "flipped byte",
+        "flipped answer",
         "sent twice",
         "replayed",
         "status 500",
@@ -97,7 +98,7 @@ class Faults(httpx.BaseTransport):
 
     def __init__(self) -> None:
         self._http = httpx.HTTPTransport()
-        self._sent: list[tuple[httpx.URL, bytes]] = []
+        self._sent: list[tuple[httpx.Request, bytes]] = []
         self.next: str | None = None
         self.where = 0.5
         self.exchanges: list[str] = []
@@ -105,6 +106,15 @@ class Faults(httpx.BaseTransport):
 
     def close(self) -> None:
         self._http.close()
+
+    def deliver_again(self, where: float) -> None:
+        """Let central have an old request once more, and the answer go nowhere."""
+        if self._sent:
+            self._exchange(*self._sent[int(where * (len(self._sent) - 1))])
+
+    def forget(self) -> None:
+        """Have no old requests."""
+        self._sent.clear()
 
     def handle_request(self, request: httpx.Request) -> httpx.Response:
         fault, self.next = self.next, None
@@ -126,17 +136,21 @@ class Faults(httpx.BaseTransport):
             return self._exchange(request, body[:at] + bytes([body[at] ^ 0x10]) + body[at + 1 :])
         if fault == "sent twice":
             self._exchange(request, body)
-        if fault == "replayed" and self._sent:
-            url, old = self._sent[int(self.where * (len(self._sent) - 1))]
-            self._exchange(httpx.Request("POST", url, headers=request.headers), old)
+        if fault == "replayed":
+            self.deliver_again(self.where)
         answer = self._exchange(request, body)
-        self._sent.append((request.url, body))
+        self._sent.append((request, body))
         if fault == "cut before the answer":
             raise httpx.RemoteProtocolError("server disconnected without sending a response", request=request)
         if fault == "timeout after sending":
             raise httpx.ReadTimeout("timed out", request=request)
         if fault == "truncated answer":
             return httpx.Response(answer.status_code, content=answer.content[: int(self.where * len(answer.content))])
+        if fault == "flipped answer":
+            at = int(self.where * (len(answer.content) - 1))
+            bit = 1 << self.injected % 7  # another one each time: the same damage twice is no accident
+            damaged = answer.content[:at] + bytes([answer.content[at] ^ bit]) + answer.content[at + 1 :]
+            return httpx.Response(answer.status_code, content=damaged)
         return answer
 
     def _exchange(self, request: httpx.Request, body: bytes) -> httpx.Response:

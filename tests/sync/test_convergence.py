@@ -1,6 +1,5 @@
 """Whatever happens between and at the two sides, in the end central holds what the station holds."""
 
-import random
 import subprocess
 import sys
 import threading
@@ -8,116 +7,21 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-import httpx
 import pytest
-from hypothesis import HealthCheck, settings
-from hypothesis import strategies as st
-from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule, run_state_machine_as_test
 
-from events import Station, station_name
 from store import Log, verify
-from sync import Daemon, Grants, Pace, Step, SyncError, token_hash
-from sync.client import Central
+from sync import Daemon, Pace, Step, SyncError
 from tests.sync.conftest import (
-    EVERYTHING,
-    NOON,
     Faults,
     MakeDaemon,
-    Serve,
     append_points,
     central_app,
-    heads,
     start_http,
     stored,
     stream_of,
 )
 
 ROOT = Path(__file__).parents[2]
-SOURCES = ("gate", "yard", "dock")
-EXAMPLES = 20
-
-
-def token_of(station: Station) -> str:
-    return f"token-of-{station}-for-tests"
-
-
-class Link(RuleBasedStateMachine):
-    """One station and central with any faults between; each example is a station of its own on shared logs."""
-
-    station_log: Log
-    central_log: Log
-    address: str
-    numbers: Iterator[int]
-
-    @initialize(request_bytes=st.sampled_from([1, 600, 5000, 256 * 1024]))
-    def begin(self, request_bytes: int) -> None:
-        self.station = station_name(f"s{next(self.numbers)}")
-        self.faults = Faults()
-        self.client = httpx.Client(base_url=self.address, transport=self.faults)
-        self.pace = Pace(request_bytes=request_bytes)
-        self.acknowledged = 0
-        self.kill_the_daemon()
-
-    @rule()
-    def kill_the_daemon(self) -> None:
-        self.daemon = Daemon(
-            self.station_log,
-            self.station,
-            EVERYTHING,
-            Central(self.client, None),
-            now=lambda: NOON,
-            random=random.Random(3).random,
-            pace=self.pace,
-        )
-
-    @rule(source=st.sampled_from(SOURCES), counts=st.lists(st.integers(1, 20), min_size=1, max_size=4))
-    def append(self, source: str, counts: list[int]) -> None:
-        append_points(self.station_log, stream_of(source, self.station), counts)
-
-    @rule()
-    def step(self) -> None:
-        step = self.daemon.step()
-        assert step.error is None
-        self.acknowledged += step.events
-
-    @rule(fault=st.sampled_from(Faults.KINDS), where=st.floats(0, 1))
-    def step_through_a_fault(self, fault: str, where: float) -> None:
-        self.faults.next, self.faults.where = fault, where
-        step = self.daemon.step()
-        self.faults.next = None
-        assert step.did != "stopped"
-        self.acknowledged += step.events
-
-    @invariant()
-    def central_holds_all_that_it_acknowledged(self) -> None:
-        if hasattr(self, "daemon"):
-            held = heads(self.central_log, self.station)
-            assert sum(sequence for _, _, sequence, _ in held) >= self.acknowledged
-
-    def teardown(self) -> None:
-        if hasattr(self, "daemon"):
-            self.daemon.catch_up()
-            assert stored(self.central_log, self.station) == stored(self.station_log, self.station)
-            assert heads(self.central_log, self.station) == heads(self.station_log, self.station)
-            assert all(stream.backlog == 0 for stream in self.daemon.status().streams)
-            self.client.close()
-
-
-def test_any_order_of_faults_and_kills_converges(make_log: Callable[[], Log], serve: Serve) -> None:
-    logs = make_log(), make_log()
-    grants = Grants({f"s{n}": token_hash(token_of(Station(f"s{n}"))) for n in range(40 * EXAMPLES)})
-    address = serve(central_app(logs[1], grants))
-    numbers = iter(range(40 * EXAMPLES))
-    machine = type(
-        "Machine", (Link,), {"station_log": logs[0], "central_log": logs[1], "address": address, "numbers": numbers}
-    )
-
-    run_state_machine_as_test(
-        machine,
-        settings=settings(max_examples=EXAMPLES, stateful_step_count=25, suppress_health_check=list(HealthCheck)),
-    )
-
-    assert verify(logs[1]).is_sound
 
 
 @pytest.mark.parametrize("fault", Faults.KINDS)

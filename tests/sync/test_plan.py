@@ -1,4 +1,5 @@
 import contextlib
+from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
@@ -7,6 +8,7 @@ from hypothesis import strategies as st
 
 from events import StreamName, station_name
 from sync import LANES, Entry, Plan, PlanError
+from sync.plan import base_of, derived_name
 
 TEXT = """\
 entries:
@@ -200,3 +202,92 @@ def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
 def test_any_text_is_a_plan_or_is_refused(text: str) -> None:
     with contextlib.suppress(PlanError):
         assert Plan.parse(text).entries
+
+
+WHOLE = """\
+paused: true
+rate: 800 kbit/s
+backlog_share: 0.5
+entries:
+  - {stream: "*/*/situation_detected", priority: alerts, order: oldest}
+  - {stream: "*/gate/track_point", from: 2026-11-01T00:00:00Z, rate: 1.5 Mbit/s, where: "x > 0.5 or y < 1"}
+  - {stream: "*/gate/plate_read", leave_out: [region, candidates], from: now, now: 2026-11-01T01:00:00+01:00}
+  - {stream: "*/gate/*", send: false}
+give_up:
+  - {stream: "*/*/track_point", older_than: 7 d}
+  - {stream: "*/*/track_*"}
+"""
+WHOLE_TOML = """\
+paused = true
+rate = "800 kbit/s"
+backlog_share = 0.5
+entries = [
+  {stream = "*/*/situation_detected", priority = 0, order = "oldest"},
+  {stream = "*/gate/track_point", from = 2026-11-01T00:00:00Z, rate = "1500 kbit/s", where = "x > 0.5 or y < 1"},
+  {stream = "*/gate/plate_read", leave_out = ["candidates", "region"], from = "now", now = 2026-11-01T00:00:00Z},
+  {stream = "*/gate/*", send = false},
+]
+[[give_up]]
+stream = "*/*/track_point"
+older_than = "168 h"
+[[give_up]]
+stream = "*/*/track_*"
+"""
+
+
+def test_toml_and_yaml_say_the_same_plan() -> None:
+    plan, same = Plan.parse(WHOLE, "plan.yaml"), Plan.parse(WHOLE_TOML, "plan.toml")
+    assert plan.canonical() == same.canonical()
+    assert plan.plan_hash == same.plan_hash
+    assert Plan.parse(plan.canonical()).canonical() == plan.canonical()
+    assert Plan.of(plan.said()).plan_hash == plan.plan_hash
+
+
+def test_what_a_plan_says_is_read_from_it() -> None:
+    plan = Plan.parse(WHOLE)
+    alerts, points, plates, rest = plan.entries
+    assert (plan.paused, plan.rate_bps, plan.backlog_share) == (True, 800_000, 0.5)
+    assert [(each.stream, each.older_than.days) for each in plan.give_up] == [
+        ("*/*/track_point", 7),
+        ("*/*/track_*", 0),
+    ]
+    assert (alerts.since, alerts.order, alerts.rate_bps, alerts.is_derived) == (None, "oldest", None, False)
+    assert (points.since, points.rate_bps, points.is_derived) == (datetime(2026, 11, 1, tzinfo=UTC), 1_500_000, True)
+    assert (plates.since, plates.is_derived, plates.sends) == (points.since, True, True)
+    assert (rest.sends, rest.is_derived) == (False, False)
+    assert Plan.parse("entries: [{stream: a/b/c}]").give_up == ()
+
+
+def test_a_derived_stream_is_sent_in_place_of_its_base_as_long_as_its_filter_is_the_plans() -> None:
+    plan = Plan.parse(WHOLE)
+    base = stream("brno/gate/track_point")
+    name = derived_name(base, plan.entries[1])
+    assert str(name) == f"brno/gate~{plan.entries[1].filter_hash}/track_point"
+    assert base_of(name) == base
+    assert base_of(base) is None
+    assert plan.entry_for(base) is None
+    assert plan.entry_for(name) == plan.entries[1]
+    assert plan.entry_for(stream("brno/gate~01234567/track_point")) is None
+    assert plan.entry_for(stream("brno/yard~01234567/track_point")) is None
+    assert plan.entry_for(stream("brno/gate/track_ended")) is None
+    assert plan.priority_of(stream("brno/yard/situation_detected")) == 0
+    assert plan.chosen(stream("brno/gate/track_ended")) == plan.entries[3]
+
+
+@pytest.mark.parametrize(
+    "text, words",
+    [
+        ("entries = [", "plan.toml: not TOML: Invalid value (at end of document)"),
+        ("entries = 1\nentries = 2\n", "plan.toml: not TOML: Cannot overwrite a value (at line 2, column 12)"),
+        ("", "plan.toml: the file is empty; wanted: [[entries]] with stream"),
+        ("[[entries]]\nstream = 7\n", "plan.toml: entries[0].stream: Input should be a valid string; got '7'"),
+        ("[[entries]]\nstream = 'a/b/c'\nfrom = 2026-11-01\n", "entries[0].from: must be beginning, now, or a time"),
+        ("[[entries]]\nstream = 'a/b/c'\nfrom = 2026-11-01T00:00:00\n", "a time with its zone such as 2026-11-01"),
+        ("[[entries]]\nstream = 'a/b/c'\nrate = 800\n", "rate: must be a rate such as 800 kbit/s"),
+        ("[[entries]]\nstream = 'a/b/c'\npriority = true\n", "entries[0].priority"),
+    ],
+)
+def test_what_is_no_plan_in_toml_is_refused(text: str, words: str) -> None:
+    with pytest.raises(PlanError) as raised:
+        Plan.parse(text, "plan.toml")
+    assert words in str(raised.value)

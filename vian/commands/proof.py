@@ -186,6 +186,7 @@ def _sound(found: Verification, verified: Verified) -> dict[str, Any]:
         "streams": found.streams,
         "position": found.position,
         "segments_read": found.segments,
+        "segments_without_payload": found.hollow,
         "signed": [
             {
                 "station": each.station,
@@ -209,7 +210,17 @@ def _told(found: Verification, verified: Verified) -> str:
     )
     if found.since:
         text += f"; up to position {found.since} it was found sound before and not read again (--full does)"
-    return "\n".join([text, *map(_signed, found.covered)])
+    return "\n".join([text, *_hollow(found), *map(_signed, found.covered)])
+
+
+def _hollow(found: Verification) -> list[str]:
+    """What is told of segments without payload."""
+    if not found.hollow:
+        return []
+    text = f"{found.hollow} segments without payload: pruned or lost, as the log records"
+    if found.unrecorded:
+        text += f"; of {found.unrecorded} ranges the stations' records have not come yet"
+    return [text]
 
 
 def _signed(covered: Covered) -> str:

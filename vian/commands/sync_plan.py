@@ -1,26 +1,34 @@
 """`vian sync plan`: which streams this station sends to central; what a change would mean, and the change itself."""
 
-from collections.abc import Iterator
+import math
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from datetime import timedelta
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from events import Station, station_name
+from events import Station, StreamName, station_name
 from store import Log
+from sync.checking import check_filters, warnings_of
 from sync.plan import Plan
-from sync.plan_values import time_text
+from sync.plan_values import rate, time_text
 from sync.planning import Planned, planned_in, set_plan
+from sync.preview import EntryPreview, Preview, held_by, preview
+from sync.reports import saved_status
 from vian import options
 from vian.clock import utc_now
-from vian.errors import WorldFailed
+from vian.errors import WorldFailed, WrongUsage
 from vian.options import opened, settings_for
-from vian.output import Output
+from vian.output import Output, counted
 from vian.replication import load_plan
 from vian.settings import Settings
 
 app = typer.Typer(help="Choose which streams go to central, from when on, in which order.", no_args_is_help=True)
+
+_SHOWN = 3
+"""Streams named in a line."""
 
 PlanFile = Annotated[Path, typer.Argument(metavar="FILE", help="The plan, YAML; TOML if its name ends in .toml.")]
 
@@ -58,12 +66,115 @@ def set_(
     plan = Plan.load(file)
     output = Output(is_json=as_json)
     with _at(data_dir, dsn, station) as (settings, log, name):
+        check_filters(plan.resolved(utc_now()), log.catalogue)
         planned = _set(log, settings, name, plan)
+    for warning in warnings_of(plan):
+        output.note(f"warning: {warning}")
     if settings.plan is not None and settings.plan.resolve() != file.resolve():
         output.note(f"vian sync and vian serve set {settings.plan} at their next start, for the settings name it")
     if planned.plan.paused:
         output.note("the plan is paused: nothing is sent. Next: vian sync plan resume")
     output.result(_said(planned, planned.plan), f"set: {len(plan.entries)} entries, {planned.plan_hash[:16]}")
+
+
+@app.command(name="preview", epilog="Example: vian sync plan preview plan.yaml --rate '1 Mbit/s'")
+def preview_(
+    file: PlanFile,
+    rate_given: Annotated[
+        str | None,
+        typer.Option("--rate", help="What the link carries, such as '1 Mbit/s'.", show_default="as it was measured"),
+    ] = None,
+    data_dir: options.DataDir = None,
+    dsn: options.Dsn = None,
+    station: options.Station = None,
+    as_json: options.Json = False,
+) -> None:
+    """Say what a plan would mean, before anything is sent: events, bytes and time of each entry, and what changes.
+
+    It asks nobody: what central holds is what it said last. Nothing is set.
+    """
+    plan = Plan.load(file)
+    with _at(data_dir, dsn, station) as (_, log, name):
+        present = planned_in(log, name)
+        before = None if present is None else present.plan
+        plan = plan.resolved(utc_now(), before)
+        check_filters(plan, log.catalogue)
+        status = saved_status(log)
+        measured = status.rate_bps if status is not None else None
+        found = preview(log, name, plan, before, held_by(status, before), _rate_of(rate_given) or measured)
+    output = Output(is_json=as_json)
+    if output.is_json:
+        output.result(_as_data(found))
+    else:
+        _show(output, found)
+
+
+def _rate_of(given: str | None) -> float | None:
+    try:
+        return rate(given)
+    except ValueError as error:
+        raise WrongUsage(f"--rate {error}, got {given!r}") from error
+
+
+def _show(output: Output, found: Preview) -> None:
+    columns = ("", "stream", "what", "streams", "segments", "events", "bytes", "time")
+    output.table("", columns, [_row(each) for each in found.entries])
+    for each in found.entries:
+        for problem in each.problems:
+            output.note(f"entries[{each.number}]: {problem}")
+    output.line(f"all: {_about(found.seconds)}; {counted(found.staying, 'stream')} stay at the station")
+    for change in found.changes:
+        output.line(f"{_named(change.streams)}{change.what}")
+    for warning in found.warnings:
+        output.note(f"warning: {warning}")
+
+
+def _row(each: EntryPreview) -> tuple[object, ...]:
+    if not each.entry.sends:
+        return each.number, each.entry.stream, "stays", *[None] * 5
+    what = f"filtered ~{each.entry.filter_hash}" if each.entry.is_derived else "sent"
+    about = "" if each.is_exact else "about "
+    numbers = (f"{about}{number}" for number in (each.segments, each.events, each.bytes))
+    return each.number, each.entry.stream, what, each.streams, *numbers, _about(each.seconds)
+
+
+def _about(seconds: float | None) -> str:
+    return "unknown: not measured yet" if seconds is None else str(timedelta(seconds=math.ceil(seconds)))
+
+
+def _named(streams: Sequence[StreamName]) -> str:
+    if not streams:
+        return ""
+    more = f" and {len(streams) - _SHOWN} more" if len(streams) > _SHOWN else ""
+    return f"{', '.join(map(str, streams[:_SHOWN]))}{more}: "
+
+
+def _as_data(found: Preview) -> dict[str, object]:
+    entries = [
+        {
+            "entry": each.number,
+            "stream": each.entry.stream,
+            "sends": each.entry.sends,
+            "filter": each.entry.filter_hash if each.entry.is_derived else None,
+            "streams": each.streams,
+            "segments": each.segments,
+            "events": each.events,
+            "bytes": each.bytes,
+            "is_exact": each.is_exact,
+            "seconds": each.seconds,
+            "problems": each.problems,
+        }
+        for each in found.entries
+    ]
+    changes = [{"what": change.what, "streams": list(map(str, change.streams))} for change in found.changes]
+    return {
+        "entries": entries,
+        "rate_bps": found.rate_bps,
+        "seconds": found.seconds,
+        "streams_staying": found.staying,
+        "changes": changes,
+        "warnings": found.warnings,
+    }
 
 
 @app.command(epilog="Example: vian sync plan pause")

@@ -10,12 +10,12 @@ from store import Log
 from sync import Plan
 from sync.planning import planned_in
 from tests.vian.conftest import Run
-from tests.vian.samples import append, points
+from tests.vian.samples import append, objects, points
 
 PLAN = """\
 entries:
   - {stream: "*/*/situation_detected", from: now, priority: alerts}
-  - {stream: "*/gate/track_point", where: "confidence > 0.5", leave_out: [vx]}
+  - {stream: "*/gate/track_point", where: "confidence > 0.5"}
 """
 
 
@@ -94,3 +94,47 @@ def test_a_log_of_another_station_is_told(log: Log, options: tuple[str, ...], ru
     ran = run("sync", "plan", "show", "--dsn", log.dsn, "--station", "typo")
     assert ran.code == 1
     assert "no streams of station typo, but of brno. Next: give --station brno" in ran.words
+
+
+def test_a_preview_says_what_a_plan_would_mean_and_sets_nothing(log: Log, options: tuple[str, ...], run: Run) -> None:
+    (found,) = objects(run("sync", "plan", "preview", "plan.yaml", *options, "--rate", "8 kbit/s", "--json").out)
+    situations, filtered = found["entries"]
+    assert (situations["streams"], situations["events"], situations["is_exact"]) == (0, 0, True)
+    assert (filtered["streams"], filtered["events"], filtered["is_exact"]) == (1, 0, False)
+    assert (found["rate_bps"], found["streams_staying"], found["warnings"]) == (8000, 0, [])
+    assert found["changes"] == [
+        {
+            "what": f"begins, filtered, as a stream ~{filtered['filter']} of its own, from the beginning",
+            "streams": ["brno/gate/track_point"],
+        }
+    ]
+    shown = run("sync", "plan", "preview", "plan.yaml", *options)
+    assert "unknown: not measured yet" in shown.out
+    assert "brno/gate/track_point: begins, filtered" in shown.out
+    assert plans(log) == 0
+
+
+def test_what_is_said_in_vain_is_a_warning(log: Log, options: tuple[str, ...], run: Run) -> None:
+    Path("plan.yaml").write_text("entries: [{stream: '*/*/*'}, {stream: '*/gate/*'}]")
+    for command in ("preview", "set"):
+        assert (
+            "warning: entries[1] (*/gate/*) never applies" in run("sync", "plan", command, "plan.yaml", *options).words
+        )
+
+
+@pytest.mark.parametrize("command", ["set", "preview"])
+def test_a_filter_that_does_not_fit_is_told_with_its_place(
+    log: Log, options: tuple[str, ...], run: Run, command: str
+) -> None:
+    Path("plan.toml").write_text("[[entries]]\nstream = '*/*/track_point'\nwhere = \"speed > 'fast'\"\n")
+    ran = run("sync", "plan", command, "plan.toml", *options)
+    assert (ran.code, ran.out) == (2, "")
+    assert "entries[0] */*/track_point: where, for track_point: line 1, column 1: track_point has no field" in ran.words
+    assert "\n    speed > 'fast'\n    ^" in ran.err
+    assert plans(log) == 0
+
+
+def test_a_rate_that_is_none_is_told(options: tuple[str, ...], run: Run) -> None:
+    ran = run("sync", "plan", "preview", "plan.yaml", *options, "--rate", "fast")
+    assert ran.code == 2
+    assert "--rate must be a rate such as 800 kbit/s or 1.5 Mbit/s" in ran.words

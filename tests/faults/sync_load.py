@@ -1,0 +1,121 @@
+"""The processes of a station and of central that sync until they are killed, and what they say of it.
+
+Contract: each says something on its pipe as soon as it does its work, and goes on through whatever
+happens to its database or its link. Their clocks are files that say how far they are off.
+"""
+
+import contextlib
+import logging
+import random
+import socket
+import threading
+import time
+from datetime import UTC, datetime, timedelta
+from multiprocessing.connection import Connection
+from pathlib import Path
+
+import httpx
+import uvicorn
+from fastapi import FastAPI
+
+from events import StreamName, station_name
+from store import Appender, Log, LogUnavailable, StoreError
+from sync import Daemon, Grants, Limits, Pace, Plan, Step, router, token_hash
+from sync.client_v1 import CentralV1
+from tests.faults.load import WAIT_S, frames, opened, persistently
+from tests.store.samples import NOON, PRODUCER
+
+STATION = station_name("brno")
+SOURCES = ("gate", "yard", "roof")
+STREAMS = tuple(StreamName.of(STATION, source, "track_point") for source in SOURCES)
+TOKEN = "a-token-of-brno-that-nobody-guesses"
+BATCH_MAX = 5
+APPEND_EVERY_S = 0.02
+"""Pause between two appends: the load must leave room for what is tried."""
+ANSWER_S_MAX = 0.7
+"""Longest wait of the daemon for an answer."""
+PACE = Pace(request_bytes=3000, backoff_s=0.005, backoff_s_max=0.2, idle_s=1.0)
+"""Small requests and short pauses, so that there are many requests to hit."""
+
+_LOOK_EVERY_S = 0.05
+
+
+def clock(offset_file: Path) -> datetime:
+    """What the clock shows that is as far off as the file says, in seconds."""
+    try:
+        offset = float(offset_file.read_text() or 0)
+    except FileNotFoundError:
+        offset = 0.0
+    return datetime.now(UTC) + timedelta(seconds=offset)
+
+
+def append_slowly(data_dir: Path, seed: int, say: Connection) -> None:
+    """Append to all streams, a little at a time, and say where each stands once it is acknowledged."""
+    choose = random.Random(seed)
+    with opened(data_dir) as log:
+        appender = Appender(log, PRODUCER, wait_s=WAIT_S)
+        heads = {stream: persistently(log, lambda s=stream: log.stream_head(s)).sequence for stream in STREAMS}
+        say.send(dict(heads))
+        while True:
+            batches = []
+            for stream in choose.sample(STREAMS, choose.randint(1, len(STREAMS))):
+                first, last = heads[stream] + 1, heads[stream] + choose.randint(1, BATCH_MAX)
+                batches.append((stream, frames(first, last, NOON + timedelta(milliseconds=first))))
+                heads[stream] = last
+            try:
+                appender.append(batches)
+            except StoreError as error:
+                say.send(f"the appender gave up: {error}")
+                return
+            say.send(dict(heads))
+            time.sleep(APPEND_EVERY_S)
+
+
+def sync_until_killed(data_dir: Path, port: int, seed: int, say: Connection) -> None:
+    """Run the station's daemon against central's port, and say of each step what it did, and its error."""
+    with opened(data_dir) as log, httpx.Client(base_url=f"http://127.0.0.1:{port}", timeout=ANSWER_S_MAX) as client:
+        daemon = persistently(
+            log,
+            lambda: Daemon(
+                log,
+                STATION,
+                Plan.of({"entries": [{"stream": "*/*/*"}]}),
+                CentralV1(client, TOKEN),
+                now=lambda: clock(data_dir / "clock"),
+                random=random.Random(seed).random,
+                pace=PACE,
+            ),
+        )
+
+        def tell(step: Step) -> None:
+            say.send((step.did, f"{type(step.error).__name__}: {step.error}" if step.error else None))
+
+        daemon.run(threading.Event(), tell)
+
+
+def serve_until_killed(data_dir: Path, port: int, say: Connection) -> None:
+    """Serve central over the log, and say when it listens."""
+    logging.getLogger("uvicorn").setLevel(logging.CRITICAL)  # what it finds strange is what we send
+    with opened(data_dir) as log:
+        listening = socket.create_server(("127.0.0.1", port))
+        listening.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        app = FastAPI()
+        app.include_router(
+            router(
+                log,
+                Grants({STATION: token_hash(TOKEN)}),
+                Limits(idle_s_max=2.0),
+                now=lambda: clock(data_dir / "clock"),
+            )
+        )
+        threading.Thread(target=_keep, args=(log,), daemon=True).start()
+        say.send("ready")
+        uvicorn.Server(uvicorn.Config(app, log_config=None, lifespan="off", ws="none")).run(sockets=[listening])
+
+
+def _keep(log: Log) -> None:
+    """Start central's database again whenever it died, as the parts of `vian serve` do."""
+    while True:
+        with contextlib.suppress(LogUnavailable):
+            persistently(log, log.head)
+        time.sleep(_LOOK_EVERY_S)

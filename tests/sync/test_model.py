@@ -1,0 +1,241 @@
+"""Whatever happens in whatever order, central holds a part of the station's history, and in the end all of it.
+
+A state machine drives daemons by hand, over real HTTP and PostgreSQL. Each example has a station and a
+central of its own; central may be lost and come back as it was at an earlier moment.
+"""
+
+import os
+from typing import Any
+
+from hypothesis import HealthCheck, settings
+from hypothesis import strategies as st
+from hypothesis.stateful import (
+    RuleBasedStateMachine,
+    initialize,
+    invariant,
+    precondition,
+    rule,
+    run_state_machine_as_test,
+)
+
+from events import Catalogue, StreamName
+from store import Log, verify
+from sync import Daemon, Pace, Plan
+from tests.conftest import MakeLog, Server
+from tests.sync.conftest import (
+    EVERYTHING,
+    Faults,
+    MakeDaemon,
+    Switchboard,
+    append_points,
+    central_app,
+    heads,
+    stored,
+    stream_of,
+)
+
+EXAMPLES = int(os.environ.get("VIAN_SYNC_EXAMPLES", "8"))
+SOURCES = ("gate", "yard", "dock")
+PLANS = (
+    EVERYTHING,
+    Plan.of({"entries": [{"stream": "*/gate/*"}]}),
+    Plan.of({"entries": [{"stream": "*/yard/*", "priority": "alerts"}, {"stream": "*/*/*", "priority": "media"}]}),
+)
+DAEMONS_MAX = 2
+STEPS_MAX = 60
+"""More steps than are needed for what an example can leave undone: each sends something or says hello."""
+
+
+class Central:
+    """A central server that can be restarted, and restored as it was."""
+
+    def __init__(self, server: Server, board: Switchboard, name: str) -> None:
+        self._server, self._board, self._name = server, board, name
+        self._databases: list[str] = []
+        self._saved: str | None = None
+        self._open(None)
+
+    def restart(self) -> None:
+        """Close its log and serve it anew."""
+        self._close()
+        self._serve(self._databases[-1])
+
+    def save(self) -> None:
+        """Remember how it is."""
+        self._close()
+        self._saved = self._clone(self._databases[-1])
+        self._serve(self._databases[-1])
+
+    def restore(self) -> None:
+        """Be as it was when it was saved, or empty."""
+        self._close()
+        self._open(self._saved)
+
+    def drop(self) -> None:
+        """End it, and take its databases away."""
+        self._close()
+        for name in self._databases:
+            self._server.drop_database(name)
+
+    def _open(self, template: str | None) -> None:
+        self._serve(self._clone(template))
+
+    def _clone(self, template: str | None) -> str:
+        name = self._server.create_database(template) if template else self._server.create_database()
+        self._databases.append(name)
+        return name
+
+    def _serve(self, database: str) -> None:
+        self._databases.remove(database)
+        self._databases.append(database)
+        self.log = Log(self._server.dsn(database), Catalogue.shipped())
+        self._board.apps[self._name] = central_app(self.log)
+
+    def _close(self) -> None:
+        self.log.close()
+        self._server.execute(
+            f"select pg_terminate_backend(pid, 10000) from pg_stat_activity where datname = '{self._databases[-1]}'"
+        )
+
+
+class Sync(RuleBasedStateMachine):
+    """One station, up to two daemons of it, any link, and central."""
+
+    make_log: MakeLog
+    make_daemon: MakeDaemon
+    faults: Faults
+    server: Server
+    board: Switchboard
+    address: str
+
+    @initialize(request_bytes=st.sampled_from([1, 700, 5000, 256 * 1024]))
+    def begin(self, request_bytes: int) -> None:
+        self.pace = Pace(request_bytes=request_bytes, backoff_s=0.001, backoff_s_max=0.002)
+        self.log = type(self).make_log()
+        self.central = Central(self.server, self.board, "model")
+        self.plan = EVERYTHING
+        self.daemons = [self._daemon()]
+        self.chain: dict[tuple[StreamName, int], dict[int, bytes]] = {}
+        self.acknowledged = 0
+        self.excused: set[Daemon] = set()
+
+    def _daemon(self) -> Daemon:
+        return type(self).make_daemon(log=self.log, plan=self.plan, address=self.address, pace=self.pace)
+
+    # What the station and its link do.
+
+    @rule(source=st.sampled_from(SOURCES), counts=st.lists(st.integers(1, 20), min_size=1, max_size=4))
+    def append(self, source: str, counts: list[int]) -> None:
+        append_points(self.log, stream_of(source), counts)
+
+    @rule(which=st.integers(0, DAEMONS_MAX - 1))
+    def step(self, which: int) -> None:
+        self._step(which)
+
+    @rule(which=st.integers(0, DAEMONS_MAX - 1), fault=st.sampled_from(Faults.KINDS), where=st.floats(0, 1))
+    def step_through_a_fault(self, which: int, fault: str, where: float) -> None:
+        self.faults.next, self.faults.where = fault, where
+        self._step(which)
+        self.faults.next = None
+
+    @rule(where=st.floats(0, 1))
+    def an_old_request_arrives(self, where: float) -> None:
+        self.faults.deliver_again(where)
+
+    @rule()
+    def kill_the_daemons(self) -> None:
+        self.daemons = [self._daemon()]
+
+    @precondition(lambda self: len(self.daemons) < DAEMONS_MAX)
+    @rule()
+    def begin_another_daemon(self) -> None:
+        self.daemons.append(self._daemon())
+
+    @rule(plan=st.sampled_from(PLANS))
+    def change_the_plan(self, plan: Plan) -> None:
+        self.plan = plan
+        self.kill_the_daemons()
+
+    # What central does.
+
+    @rule()
+    def restart_central(self) -> None:
+        self.central.restart()
+
+    @rule()
+    def back_central_up(self) -> None:
+        self.central.save()
+
+    @rule()
+    def restore_central(self) -> None:
+        self.central.restore()
+        self.acknowledged = 0
+        self.excused = set(self.daemons)
+
+    # What holds.
+
+    @invariant()
+    def central_holds_a_part_of_the_stations_history(self) -> None:
+        if not hasattr(self, "daemons"):
+            return
+        self._read_on()
+        for stream, epoch, sequence, chain_hash in heads(self.central.log):
+            assert self.chain[stream, epoch].get(sequence) == chain_hash
+
+    @invariant()
+    def central_holds_all_that_it_acknowledged(self) -> None:
+        if hasattr(self, "daemons"):
+            assert sum(sequence for _, _, sequence, _ in heads(self.central.log)) >= self.acknowledged
+
+    def teardown(self) -> None:
+        if not hasattr(self, "daemons"):
+            return
+        self.change_the_plan(EVERYTHING)
+        (daemon,) = self.daemons
+        for _ in range(STEPS_MAX * (1 if self.pace.request_bytes > 5000 else 10)):
+            if (step := daemon.step()).did == "nothing":
+                break
+            assert step.error is None
+        assert stored(self.central.log) == stored(self.log)
+        assert heads(self.central.log) == heads(self.log)
+        assert all(stream.backlog == 0 for stream in daemon.status().streams)
+        assert verify(self.central.log).is_sound
+        self.central.drop()
+        self.faults.forget()
+
+    def _step(self, which: int) -> None:
+        daemon = self.daemons[which % len(self.daemons)]
+        hit = self.faults.next
+        step = daemon.step()
+        assert step.did != "stopped"
+        # A daemon learns from one refusal that central is not what it was.
+        assert hit is not None or step.error is None or daemon in self.excused
+        if step.error is not None:
+            self.excused.discard(daemon)
+        self.acknowledged += step.events
+
+    def _read_on(self) -> None:
+        """Note the chain of what the station appended."""
+        for stream, epoch, sequence, _ in heads(self.log):
+            known = self.chain.setdefault((stream, epoch), {})
+            if sequence not in known:
+                for segment in self.log.read(stream, max(known, default=0) + 1, epoch=epoch):
+                    known[segment.header.last_sequence] = segment.chain_hash
+
+
+def test_whatever_happens_in_whatever_order_the_two_sides_converge(
+    make_log: MakeLog, make_daemon: MakeDaemon, faults: Faults, server: Server, switchboard: tuple[str, Switchboard]
+) -> None:
+    address, board = switchboard
+    given: dict[str, Any] = {
+        "make_log": staticmethod(make_log),
+        "make_daemon": staticmethod(make_daemon),
+        "faults": faults,
+        "server": server,
+        "board": board,
+        "address": f"{address}/model",
+    }
+    run_state_machine_as_test(
+        type("Machine", (Sync,), given),
+        settings=settings(max_examples=EXAMPLES, stateful_step_count=30, suppress_health_check=list(HealthCheck)),
+    )

@@ -1,0 +1,155 @@
+"""Pruning below what central countersigned: what goes, what stays, and what the log says of it."""
+
+import json
+from collections.abc import Callable
+from datetime import UTC, datetime, timedelta
+
+import pytest
+
+from events import CheckpointCountersigned, SegmentsPruned, Station, StreamName, decode, events_of
+from store import Log, verify
+from sync.pruning import Pruner
+from tests.store.samples import GATE, NOON, YARD, append, draft_of, query
+
+BRNO = Station("brno")
+LATER = datetime.now(UTC) + timedelta(days=40)
+DAYS_30 = timedelta(days=30)
+Countersign = Callable[..., None]
+
+
+def signed(_: CheckpointCountersigned) -> bool:
+    return True
+
+
+def countersign(log: Log, *heads: tuple[StreamName, int], of: str = "brno") -> None:
+    """What the daemon appends when central has signed that it holds the streams up to these sequences."""
+    held = []
+    for stream, sequence in heads:
+        ends = [each for each in log.read(stream, with_hollow=True) if each.header.last_sequence == sequence]
+        held.append([*str(stream).split("/")[:1], 1, stream.source, stream.type, sequence, ends[0].chain_hash.hex()])
+    event = CheckpointCountersigned(
+        time=NOON,
+        of_station=of,
+        checkpoint_sequence=1,
+        statement_hash=f"{log.head():064x}",
+        held=json.dumps(held),
+        key_id="central",
+        algorithm="ed25519",
+        signature=bytes(64),
+    )
+    log.append([draft_of(event, "sync")])
+
+
+def pruned_of(log: Log) -> list[tuple[str, int, int, int]]:
+    segments = log.read_all(types=[SegmentsPruned.type_name])
+    events = [event for segment in segments for event in events_of(decode(segment, log.catalogue))]
+    return [
+        (each.stream, each.first_sequence, each.last_sequence, each.segments)
+        for each in events
+        if isinstance(each, SegmentsPruned)
+    ]
+
+
+def whole(log: Log, stream: StreamName) -> list[bool]:
+    return [each.has_payload for each in log.read(stream, with_hollow=True)]
+
+
+def run(pruner: Pruner, now: datetime = LATER) -> None:
+    while pruner.step(now):
+        pass
+
+
+def test_what_central_holds_and_is_old_goes_and_is_recorded(log: Log) -> None:
+    append(log, GATE, 3, 2, 4)
+    append(log, YARD, 2)
+    countersign(log, (GATE, 5))
+    run(Pruner(log, BRNO, DAYS_30, signed))
+    assert (whole(log, GATE), whole(log, YARD)) == ([False, False, True], [True])
+    assert pruned_of(log) == [(str(GATE), 1, 5, 2)]
+    found = verify(log, station="brno")
+    assert (found.is_sound, found.hollow) == (True, 2)
+
+
+def test_what_is_young_stays(log: Log) -> None:
+    append(log, GATE, 3)
+    countersign(log, (GATE, 3))
+    run(Pruner(log, BRNO, DAYS_30, signed), datetime.now(UTC))
+    assert whole(log, GATE) == [True]
+
+
+def test_a_signature_that_does_not_hold_and_another_history_prove_nothing(log: Log) -> None:
+    append(log, GATE, 3)
+    countersign(log, (GATE, 3))
+    run(Pruner(log, BRNO, DAYS_30, lambda _: False))
+    assert whole(log, GATE) == [True]
+    log.append([draft_of(other_history(), "sync")])
+    run(Pruner(log, BRNO, DAYS_30, signed))
+    assert whole(log, GATE) == [True]
+
+
+def other_history() -> CheckpointCountersigned:
+    return CheckpointCountersigned(
+        time=NOON,
+        of_station="brno",
+        checkpoint_sequence=1,
+        statement_hash="ab" * 32,
+        held=json.dumps([["brno", 1, "gate", "track_point", 3, "cd" * 32], ["brno", 1, "gate", "pose", 9, "cd" * 32]]),
+        key_id="central",
+        algorithm="ed25519",
+        signature=bytes(64),
+    )
+
+
+def test_a_pruner_that_runs_takes_up_the_next_checkpoint(log: Log) -> None:
+    append(log, GATE, 3, 2)
+    pruner = Pruner(log, BRNO, DAYS_30, signed)
+    run(pruner)
+    countersign(log, (GATE, 3))
+    run(pruner)
+    assert whole(log, GATE) == [False, True]
+    countersign(log, (GATE, 5))
+    run(pruner)
+    assert whole(log, GATE) == [False, False]
+    assert pruned_of(log) == [(str(GATE), 1, 3, 1), (str(GATE), 4, 5, 1)]
+
+
+def test_proofs_and_what_programs_read_back_stay(log: Log) -> None:
+    append(log, GATE, 3)
+    countersign(log, (GATE, 3))
+    countersigned = StreamName.of("brno", "sync", "checkpoint_countersigned")
+    countersign(log, (GATE, 3), (countersigned, 1))
+    run(Pruner(log, BRNO, DAYS_30, signed))
+    assert whole(log, countersigned) == [True, True]
+
+
+def test_the_outlook_says_what_would_go_and_takes_nothing(log: Log) -> None:
+    append(log, GATE, 3, 2, 4)
+    countersign(log, (GATE, 5))
+    pruner = Pruner(log, BRNO, DAYS_30, signed)
+    (span,) = pruner.outlook(LATER)
+    assert (span.stream, span.first_sequence, span.last_sequence, span.segments) == (GATE, 1, 5, 2)
+    assert whole(log, GATE) == [True, True, True]
+    run(pruner)
+    assert pruner.outlook(LATER) == []
+
+
+def test_two_pruners_record_everything_once(log: Log) -> None:
+    append(log, GATE, 3, 2, 4)
+    countersign(log, (GATE, 9))
+    first, second = (Pruner(log, BRNO, DAYS_30, signed) for _ in range(2))
+    first.step(LATER)
+    run(second)
+    run(first)
+    assert pruned_of(log) == [(str(GATE), 1, 9, 3)]
+
+
+@pytest.mark.parametrize("most", [1, 2])
+def test_lots_are_bounded(log: Log, monkeypatch: pytest.MonkeyPatch, most: int) -> None:
+    append(log, GATE, 3, 3, 3)
+    countersign(log, (GATE, 9))
+    size = len(next(log.read(GATE)).payload)
+    monkeypatch.setattr("sync.pruning.BYTES_MAX", most * size + 5)
+    run(Pruner(log, BRNO, DAYS_30, signed))
+    assert whole(log, GATE) == [False] * 3
+    assert [segments for *_, segments in pruned_of(log)] == ([1, 1, 1] if most == 1 else [2, 1])
+    assert query(log, "select count(*) from segments where payload is null") == [(3,)]
