@@ -22,12 +22,25 @@ from sync.access import REPLICATE, Access, Asked, Caller
 from sync.apply import answer_hello_2, apply_2
 from sync.apply_v1 import answer_hello, apply, cursor_of
 from sync.bodies import BodyLimits, check_declared, read_body, read_signed
+from sync.countersigning import countersign
 from sync.enrolment import ENROL_BYTES_MAX, Attempts, Enrolled, parse_message
 from sync.errors import Refusal
 from sync.grants import Grantor, Grants
 from sync.problems import RESPONSES, Note, claim, cursors_2, problem_route
 from sync.signing import STATION_HEADER
-from sync.wire import BODY_BYTES_MAX, HELLO_BYTES_MAX, PATH, SEGMENTS_MAX, Challenge, ChallengeRequest
+from sync.turns import Turns
+from sync.wire import (
+    BODY_BYTES_MAX,
+    CHALLENGE_BYTES_MAX,
+    FOLLOWS_HEADER,
+    HELLO_BYTES_MAX,
+    ORDER_HEADER,
+    PATH,
+    SEGMENTS_MAX,
+    Challenge,
+    ChallengeRequest,
+    Countersigned,
+)
 from sync.wire import HelloAnswer as HelloAnswer2
 from sync.wire import SegmentsAnswer as SegmentsAnswer2
 from sync.wire_v1 import PATH as PATH_1
@@ -145,6 +158,7 @@ class Door:
 def _version_2(log: Log, door: Door, most: Limits, now: Callable[[], datetime], note: Note) -> APIRouter:
     api = APIRouter(prefix=PATH, tags=["sync"], route_class=problem_route(note, cursors_2), responses=RESPONSES)
     attempts = Attempts(monotonic)
+    turns = Turns()
     small = most.body(ENROL_BYTES_MAX)
 
     async def small_body(request: Request) -> bytes:
@@ -185,6 +199,7 @@ def _version_2(log: Log, door: Door, most: Limits, now: Callable[[], datetime], 
 
     @api.post("/segments", summary="A station sends segments; 200 means that they are durable")
     def segments(
+        request: Request,
         call: Annotated[Call, Depends(door.opens("segments", REPLICATE, most.body_bytes_max))],
     ) -> SegmentsAnswer2:
         return apply_2(
@@ -194,7 +209,16 @@ def _version_2(log: Log, door: Door, most: Limits, now: Callable[[], datetime], 
             body_bytes_max=most.body_bytes_max,
             segments_max=most.segments_max,
             still_allowed=lambda transaction: door.access.check_again(transaction, call.caller),
+            turns=turns,
+            order=request.headers.get(ORDER_HEADER, ""),
+            follows=request.headers.get(FOLLOWS_HEADER, ""),
         )
+
+    @api.post("/countersign", summary="Central signs that it holds what a station's checkpoint says")
+    def countersigned(
+        call: Annotated[Call, Depends(door.opens("countersign", REPLICATE, CHALLENGE_BYTES_MAX))],
+    ) -> Countersigned:
+        return countersign(log, call.caller.station, call.body, door.access.key, now())
 
     return api
 
