@@ -1,6 +1,7 @@
 """Repair from the other side: what may come back, what may not, and what the log says of it."""
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 
 import psycopg
 import pytest
@@ -9,7 +10,7 @@ from events import Draft, Segment, SegmentsRepaired, Station, StreamName, decode
 from store import Log, verify
 from store.payloads import take_off
 from sync.errors import CentralUnreachable, Refusal
-from sync.repair import Repaired, Repairer, hollow_payloads, records_for
+from sync.repair import Repaired, Repairer, Wanted, damaged_payloads, hollow_payloads, records_for
 from sync.wire import Range, decode_records
 from tests.store.samples import GATE, NOON, YARD, append, owner
 
@@ -214,3 +215,27 @@ def test_a_stream_by_any_other_name_is_not_taken(station: Log, central: Log) -> 
         take_off(transaction, [1])
     (damage,) = hollow_payloads(station, GATE, 1, 3)
     assert Repairer(station, BRNO, swapped, "central", lambda: NOON).repair(damage).segments == 0
+
+
+def test_what_a_log_wants_back_is_asked_until_it_was_put_back(station: Log, central: Log) -> None:
+    praha = Station("praha")
+    with owner(central) as connection:
+        connection.execute("set session_replication_role = replica")
+        connection.execute("update segments set payload = 'x' where position in (2, 6)")
+    wanted = Wanted(central)
+    for _ in range(2):
+        wanted.ask(list(damaged_payloads(central)))
+    asked = [each.wanted() for each in wanted.of(BRNO)]
+    assert [(each.stream, each.first_sequence, each.last_sequence) for each in asked] == [
+        (str(GATE), 4, 5),
+        (str(YARD), 3, 4),
+    ]
+    assert wanted.of(praha) == []
+    forged = [replace(each, payload=b"y") for each in fetching(station)(asked[1])]
+    assert wanted.take(praha, BRNO, forged, lambda: NOON) == 0
+    assert wanted.take(praha, BRNO, fetching(station)(asked[0]), lambda: NOON) == 1
+    assert [each.stream for each in wanted.of(BRNO)] == [YARD]
+    assert wanted.take(praha, BRNO, fetching(station)(asked[1]), lambda: NOON) == 1
+    assert wanted.of(BRNO) == []
+    assert verify(central, station="praha").is_sound
+    assert repairs(central) == [(str(GATE), 4, 5, 1, "brno"), (str(YARD), 3, 4, 1, "brno")]
