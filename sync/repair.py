@@ -13,17 +13,22 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from hashlib import sha256
+from typing import Annotated
+
+from pydantic import Field
 
 from events import Draft, Producer, Segment, SegmentsRepaired, Station, StreamName, batch_of, encode
 from store import BadRequest, ChainBroken, Log, SealedFileDamaged, verify
 from store.payloads import next_position, place_at, put_back, repair
 from store.walk import pages
-from sync.errors import Refusal, SyncError
-from sync.wire import Range, Record, encode_records, record_size
+from sync.errors import Refusal, SyncError, WireError
+from sync.wire import Message, Range, Record, decode_records, encode_records, record_size
 
 PRODUCER = Producer("repairer", "1", sha256(b"{}").digest())
 NEIGHBOURS_MAX = 100
 """Most damaged neighbours that are repaired together."""
+RANGE_BYTES_MAX = 4096
+"""Most bytes of a question for a range."""
 WANTED_MAX = 1000
 """Most segments that are asked of stations at a time."""
 _GENESIS = bytes(32)
@@ -318,6 +323,31 @@ class Wanted:
             left = [each for each in kept if each.position not in mended]
             transaction.save_checkpoint(self._NAME, self._log.head(), _state(left))
         return sum(each.segments for each in done)
+
+
+class RepairAnswer(Message):
+    """What central put back of what a station sent again."""
+
+    repaired: Annotated[int, Field(ge=0)]
+    """segments"""
+
+
+def repair_with(
+    log: Log, own: Station, station: Station, body: bytes, *, segments_max: int, now: Callable[[], datetime]
+) -> int:
+    """Put back what a body of records of a station holds of what is wanted; how many segments were put back.
+
+    Raises:
+        Refusal: The body holds no records.
+        LogUnavailable: The database is away, or the account may not.
+    """
+    try:
+        records = decode_records(body, bytes_max=len(body), segments_max=segments_max)
+    except WireError as error:
+        raise Refusal(
+            400, "bad_body", "the body does not hold segments", str(error), "whole segment records", "send it again"
+        ) from error
+    return Wanted(log).take(own, station, [record.segment for record in records], now)
 
 
 def _state(damages: Sequence[Damage]) -> bytes:
