@@ -14,7 +14,7 @@ from datetime import UTC, datetime
 from time import monotonic
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Depends, Request
+from fastapi import APIRouter, Depends, Request, Response
 
 from events import Station
 from store import Log
@@ -27,6 +27,7 @@ from sync.enrolment import ENROL_BYTES_MAX, Attempts, Enrolled, parse_message
 from sync.errors import Refusal
 from sync.grants import Grantor, Grants
 from sync.problems import RESPONSES, Note, claim, cursors_2, problem_route
+from sync.repair import RANGE_BYTES_MAX, RepairAnswer, records_for, repair_with
 from sync.signing import STATION_HEADER
 from sync.turns import Turns
 from sync.wire import (
@@ -36,10 +37,12 @@ from sync.wire import (
     HELLO_BYTES_MAX,
     ORDER_HEADER,
     PATH,
+    RECORD_TYPE,
     SEGMENTS_MAX,
     Challenge,
     ChallengeRequest,
     Countersigned,
+    Range,
 )
 from sync.wire import HelloAnswer as HelloAnswer2
 from sync.wire import SegmentsAnswer as SegmentsAnswer2
@@ -101,6 +104,7 @@ def router(
         api.include_router(_version_1(log, grants, most, now, note))
     if access is not None:
         api.include_router(_version_2(log, Door(access, most), most, now, note))
+        api.include_router(_repairs(log, Door(access, most), most, now, note))
     return api
 
 
@@ -219,6 +223,29 @@ def _version_2(log: Log, door: Door, most: Limits, now: Callable[[], datetime], 
         call: Annotated[Call, Depends(door.opens("countersign", REPLICATE, CHALLENGE_BYTES_MAX))],
     ) -> Countersigned:
         return countersign(log, call.caller.station, call.body, door.access.key, now())
+
+    return api
+
+
+def _repairs(log: Log, door: Door, most: Limits, now: Callable[[], datetime], note: Note) -> APIRouter:
+    api = APIRouter(prefix=PATH, tags=["sync"], route_class=problem_route(note, cursors_2), responses=RESPONSES)
+
+    @api.post("/segments/read", summary="A station reads back segments that it sent", response_class=Response)
+    def read(call: Annotated[Call, Depends(door.opens("segments/read", REPLICATE, RANGE_BYTES_MAX))]) -> Response:
+        wanted = parse_message(Range, call.body)
+        body = records_for(
+            log, call.caller.station, wanted, bytes_max=most.body_bytes_max, segments_max=most.segments_max
+        )
+        return Response(body, media_type=RECORD_TYPE)
+
+    @api.post("/segments/repair", summary="A station sends again what central wants back")
+    def repair(
+        call: Annotated[Call, Depends(door.opens("segments/repair", REPLICATE, most.body_bytes_max))],
+    ) -> RepairAnswer:
+        repaired = repair_with(
+            log, door.access.registry.central, call.caller.station, call.body, segments_max=most.segments_max, now=now
+        )
+        return RepairAnswer(repaired=repaired)
 
     return api
 

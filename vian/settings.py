@@ -111,8 +111,7 @@ class Settings(BaseSettings):
     database_wait_s: Annotated[float, Field(ge=0)] = 60.0
     """how long an append waits for a database that is away, in seconds"""
     disk_free_mb_min: Annotated[int, Field(ge=0)] = 256
-    """what must stay free on an embedded log's disk, in MiB: below, what the plan gives up goes, or recording stops;
-    0: never"""
+    """what must stay free on an embedded log's disk, in MiB: else what the plan gives up goes, or recording stops"""
     prune_after_days: Annotated[float, Field(ge=0)] | None = None
     """age in days at which payloads that central countersigned leave this station's disk; never by default"""
 

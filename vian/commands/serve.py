@@ -22,6 +22,7 @@ from vian.errors import WrongUsage
 from vian.options import opened, settings_for
 from vian.output import Output
 from vian.parts import Part, Parts, stepping
+from vian.pruning import disk_part
 from vian.replication import plan_at_start, station_daemon, sync_part
 from vian.rows import upkeep_part
 from vian.rules import limits_of
@@ -97,6 +98,8 @@ def _parts(stack: ExitStack, log: Log, settings: Settings, role: Role) -> list[P
         stepping("projector", lambda: projector.step(STEP_SECONDS), log, projector.close),
         upkeep_part(log, settings),
     ]
+    if role is Role.STATION:
+        parts.append(disk_part(log, settings))
     if has_key(settings):
         parts.append(signing_part(log, settings))
     if settings.rules is not None or role is Role.STATION:
