@@ -58,7 +58,14 @@ class FieldSession:
             return [(column.name, column.type_display) for column in cursor.description or ()]
 
     def lines(
-        self, select: str, columns: int, parameters: dict[str, Any] | None = None, *, bytes_max: int, batch: int = 100
+        self,
+        select: str,
+        columns: int,
+        parameters: dict[str, Any] | None = None,
+        *,
+        rows_max: int,
+        bytes_max: int,
+        batch: int = 100,
     ) -> Iterator[str | None]:
         """Each row of the SELECT as a JSON array, read a batch at a time; None for one of more than `bytes_max` bytes.
 
@@ -66,6 +73,7 @@ class FieldSession:
             select: The SELECT; with parameters, as psycopg takes them.
             columns: How many columns it has.
             parameters: Values for it.
+            rows_max: Rows that it ends with, however many there are.
             bytes_max: Most bytes of a row.
             batch: Rows that are read at a time.
 
@@ -77,7 +85,8 @@ class FieldSession:
         # Offset 0 keeps PostgreSQL from making each line twice.
         query = (
             f"select case when octet_length(line) <= {bytes_max} then line end from "
-            f"(select cast(json_build_array({names}) as text) as line from ({select}) as asked ({names}) offset 0) as t"
+            f"(select cast(json_build_array({names}) as text) as line from ({select}) as asked ({names}) "
+            f"offset 0 limit {rows_max}) as t"
         )
         with self._told():
             self._connection.execute(f"declare question no scroll cursor for {query}".encode(), parameters)

@@ -14,11 +14,12 @@ from datetime import UTC, datetime
 from time import monotonic
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Depends, Request
+from fastapi import APIRouter, Depends, Request, Response
 
 from events import Station
 from store import Log
-from sync.access import REPLICATE, Access, Asked, Caller
+from sync.access import FIND, QUERY, REPLICATE, Access, Asked, Caller
+from sync.answering import Answering
 from sync.apply import answer_hello_2, apply_2
 from sync.apply_v1 import answer_hello, apply, cursor_of
 from sync.bodies import BodyLimits, check_declared, read_body, read_signed
@@ -26,6 +27,7 @@ from sync.enrolment import ENROL_BYTES_MAX, Attempts, Enrolled, parse_message
 from sync.errors import Refusal
 from sync.grants import Grantor, Grants
 from sync.problems import RESPONSES, Note, claim, cursors_2, problem_route
+from sync.questions import QUESTION_BYTES_MAX, Answer
 from sync.signing import STATION_HEADER
 from sync.wire import BODY_BYTES_MAX, HELLO_BYTES_MAX, PATH, SEGMENTS_MAX, Challenge, ChallengeRequest
 from sync.wire import HelloAnswer as HelloAnswer2
@@ -70,6 +72,7 @@ def router(
     now: Callable[[], datetime] = lambda: datetime.now(UTC),
     *,
     access: Access | None = None,
+    answering: Answering | None = None,
     note: Note = lambda kind, got: None,
 ) -> APIRouter:
     """The endpoints of sync over a log: `/sync/v1/...` with grants, `/sync/v2/...` with access.
@@ -80,6 +83,7 @@ def router(
         limits: What a request may cost.
         now: Central's clock, which a hello's answer tells.
         access: Who may speak in protocol version 2.
+        answering: Answers the questions of those who may ask; without it there are no endpoints for them.
         note: Told of each refusal, such as `Refusals.note`.
     """
     most = limits or Limits()
@@ -87,7 +91,10 @@ def router(
     if grants is not None:
         api.include_router(_version_1(log, grants, most, now, note))
     if access is not None:
-        api.include_router(_version_2(log, Door(access, most), most, now, note))
+        door = Door(access, most)
+        api.include_router(_version_2(log, door, most, now, note))
+        if answering is not None:
+            api.include_router(_questions(answering, door, note))
     return api
 
 
@@ -195,6 +202,20 @@ def _version_2(log: Log, door: Door, most: Limits, now: Callable[[], datetime], 
             segments_max=most.segments_max,
             still_allowed=lambda transaction: door.access.check_again(transaction, call.caller),
         )
+
+    return api
+
+
+def _questions(answering: Answering, door: Door, note: Note) -> APIRouter:
+    api = APIRouter(prefix=PATH, tags=["sync"], route_class=problem_route(note, cursors_2), responses=RESPONSES)
+
+    @api.post("/find", summary="A station asks for plates or situations", response_model=Answer)
+    def find(call: Annotated[Call, Depends(door.opens("find", FIND, QUESTION_BYTES_MAX))]) -> Response:
+        return Response(answering.find(call.caller, call.body), media_type="application/json")
+
+    @api.post("/query", summary="A station asks in SQL", response_model=Answer)
+    def query(call: Annotated[Call, Depends(door.opens("query", QUERY, QUESTION_BYTES_MAX))]) -> Response:
+        return Response(answering.query(call.caller, call.body), media_type="application/json")
 
     return api
 
