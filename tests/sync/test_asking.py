@@ -33,7 +33,7 @@ def address(central_log: Log, access: Access, serve: Serve) -> str:
     project(central_log)
     app = FastAPI()
     desk = answering(central_log, still_allowed=lambda transaction, who: access.check_again(transaction, who))
-    app.include_router(router(central_log, None, access=access, answering=desk))
+    app.include_router(router(central_log, None, access=access, answers=desk))
     return serve(app)
 
 
