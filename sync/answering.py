@@ -19,7 +19,7 @@ from typing import Any, Literal, TypeVar
 from events import Draft, Producer, QueryAnswered, Station, StreamName, batch_of, encode
 from store import Log, Transaction
 from store.errors import QuestionFailed, QuestionTooDear
-from store.field import Cost, FieldSession, field_session, field_tables, read_session, rows_position
+from store.field import Cost, FieldSession, field_session, field_tables, read_session, standing
 from sync.access import EVERY_STATION, Caller
 from sync.access import FIND as MAY_FIND
 from sync.access import QUERY as MAY_QUERY
@@ -121,7 +121,7 @@ class Answering:
         after = None if question.page is None else self._pages.opened(caller.station, asked, question.page)
         columns, limit = columns_of(question.kind), min(question.limit, self._limits.rows_max)
         text, parameters = select(question, _stations(caller), after, limit + 1)
-        position, stands = self._log.head(), rows_position(self._log)
+        stands = standing(self._log, QueryAnswered.type_name)
         with self._answered(read_session(self._log, self._limits.cost, self._monotonic)) as session:
             lines = session.lines(
                 text, len(columns) + 1, parameters, rows_max=limit + 1, bytes_max=self._limits.row_bytes_max
@@ -129,14 +129,14 @@ class Answering:
             told, key = _page(self._told(lines, limit))
         record.note(told)
         more = None if key is None else self._pages.sealed(caller.station, asked, key)
-        return self._answer(columns, told, (position, stands), more)
+        return self._answer(columns, told, stands, more)
 
     def _selected(self, caller: Caller, question: QueryQuestion, record: "_Record") -> bytes:
         try:
             text = permitted(question.sql, field_tables(self._log))
         except SelectRefused as error:
             raise _bad_question(str(error), "one SELECT over the tables of events") from error
-        limits, position, stands = self._limits, self._log.head(), rows_position(self._log)
+        limits, stands = self._limits, standing(self._log, QueryAnswered.type_name)
         with self._answered(field_session(self._log, _stations(caller), limits.cost, self._monotonic)) as session:
             columns = tuple(AnswerColumn(name=name, type=kind) for name, kind in session.columns(text))
             if not 1 <= len(columns) <= COLUMNS_MAX:
@@ -145,7 +145,7 @@ class Answering:
             lines = session.lines(text, len(columns), rows_max=rows_max + 1, bytes_max=limits.row_bytes_max)
             told = self._told(lines, rows_max)
         record.note(told)
-        return self._answer(columns, told, (position, stands), None)
+        return self._answer(columns, told, stands, None)
 
     def _answer(
         self, columns: tuple[AnswerColumn, ...], told: "_Told", stands: tuple[int, int], more: str | None
@@ -158,7 +158,7 @@ class Answering:
             next=more,
             cut=told.cut,
             position=position,
-            rows_position=min(rows, position),
+            rows_position=rows,
         )
         return answer.with_lines(told.lines)
 

@@ -115,8 +115,8 @@ class Settings(BaseSettings):
     0: never"""
     prune_after_days: Annotated[float, Field(ge=0)] | None = None
     """age in days at which payloads that central countersigned leave this station's disk; never by default"""
-    question_s: Annotated[float, Field(gt=0, le=600)] = 10.0
-    """central server: longest time that a question from the field may take, in seconds"""
+    question_s: Annotated[float, Field(gt=0, le=45)] = 10.0
+    """central server: longest time that a question from the field may take, in seconds; stations wait for 60"""
     question_rows_max: Annotated[int, Field(ge=1, le=10_000)] = 1_000
     """central server: most rows of an answer, or of a page of one"""
     question_answer_kb: Annotated[int, Field(ge=1, le=3_072)] = 2_048

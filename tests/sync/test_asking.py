@@ -32,7 +32,7 @@ def address(central_log: Log, access: Access, serve: Serve) -> str:
     tell(central_log, "oslo-1", [plate("2AB 2345"), plate("3AB 2345")])
     project(central_log)
     app = FastAPI()
-    desk = answering(central_log, still_allowed=lambda transaction, who: access.check_again(transaction, who))
+    desk = answering(central_log, still_allowed=access.check_again)
     app.include_router(router(central_log, None, access=access, answers=desk))
     return serve(app)
 
