@@ -13,8 +13,9 @@ import pyarrow.compute as pc
 
 from events import EventBatch, EventType, schema_of
 from sync.errors import FilterFailed, PlanError
-from sync.filters import Bound, WhereError, bind, parse
+from sync.filters import Bound, bind
 from sync.plan import Entry
+from sync.where import WhereError, parse
 
 _ROW = "row number"
 """Name of the column that numbers the rows; no field can bear it."""

@@ -34,9 +34,9 @@ from pydantic import (
 
 from events import InvalidName, Source, Station, StreamName
 from sync.errors import PlanError
-from sync.filters import parse as parse_condition
 from sync.plan_files import FILE_BYTES_MAX, document
 from sync.plan_values import duration, no_text, rate, time_text, truth, whole_seconds
+from sync.where import parse as parse_condition
 
 LANES: Mapping[str, int] = {"alerts": 0, "situations": 10, "tracks": 20, "points": 30, "media": 40}
 """Names of priorities; a smaller number goes first, and there is room between them."""

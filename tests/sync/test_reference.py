@@ -8,9 +8,9 @@ import pytest
 from events import Catalogue
 from sync import LANES, Entry, Pace, Plan
 from sync.checking import check_filters
-from sync.filters import DEPTH_MAX, FUNCTIONS
 from sync.plan import HASH_DIGITS, WHERE_CHARACTERS_MAX, GiveUp
 from sync.preview import SAMPLE_SEGMENTS
+from sync.where import DEPTH_MAX, FUNCTIONS
 from sync.wire import HEADER_BYTES_MAX, PAYLOAD_BYTES_MAX, RECORD_BYTES_MAX, SEGMENTS_MAX, STREAMS_MAX
 from sync.wire_v1 import PROTOCOL, Hello, HelloAnswer, Problem, SegmentsAnswer, StreamState
 
