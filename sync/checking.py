@@ -9,9 +9,10 @@ from fnmatch import fnmatchcase
 import duckdb
 
 from events import Catalogue, EventType
+from sync.entries import Entry
 from sync.errors import PlanError
 from sync.filtering import Sieve, database
-from sync.plan import Entry, Plan
+from sync.plan import Plan
 
 
 def check_filters(plan: Plan, catalogue: Catalogue) -> None:

@@ -15,7 +15,7 @@ from store import Log, LogUnavailable, verify
 from store.log import Transaction
 from sync import Plan
 from sync.deriving import Deriver
-from sync.plan import derived_name
+from sync.entries import derived_name
 from sync.planning import plan_stream, set_plan
 from tests.store.tiered import seal_all
 from tests.sync.conftest import BRNO, NOON, PRODUCER, MakeDaemon, append_points, points, stream_of

@@ -8,7 +8,7 @@ import pytest
 from events import Catalogue
 from sync import LANES, Entry, Pace, Plan
 from sync.checking import check_filters
-from sync.plan import HASH_DIGITS, WHERE_CHARACTERS_MAX, GiveUp
+from sync.entries import HASH_DIGITS, WHERE_CHARACTERS_MAX, GiveUp
 from sync.preview import SAMPLE_SEGMENTS
 from sync.where import DEPTH_MAX, FUNCTIONS
 from sync.wire import HEADER_BYTES_MAX, PAYLOAD_BYTES_MAX, RECORD_BYTES_MAX, SEGMENTS_MAX, STREAMS_MAX
