@@ -31,11 +31,12 @@ def test_each_key_of_each_message_is_told() -> None:
 
 
 def test_each_problem_is_told() -> None:
-    sources = "".join((ROOT / "sync" / name).read_text(encoding="utf-8") for name in ("apply.py", "central.py"))
-    refusals = re.findall(r'(?:Refusal\(\s*\d+,\s*|_corrupt\(segment, |code, first = )"(\w+)"', sources)
+    names = ("access", "apply", "bodies", "central", "enrolment", "registry", "sessions")
+    sources = "".join((ROOT / "sync" / f"{name}.py").read_text(encoding="utf-8") for name in names)
+    refusals = re.findall(r'(?:Refusal\(\s*\d+,\s*|corrupt\(segment, |_no_code\(|code, first = )"(\w+)"', sources)
     codes = {*refusals, "false_header", "bad_header", "other_history", "other_bytes"}
 
-    assert len(codes) > 12
+    assert len(codes) > 25
     assert {code for code in codes if f"`{code}`" not in TEXT} == set()
 
 
