@@ -186,7 +186,8 @@ def _reason(name: str, error: ValidationError, lines: Mapping[tuple[Hashable, ..
         if each["type"] == "extra_forbidden":
             message = f"unknown key; known: {', '.join(_known_keys(where))}"
         given = each["input"]
-        got = f"; got {no_text(given)}" if isinstance(given, str | int | float | bool) else ""
+        has_shown_it = "\n" in message
+        got = f"; got {no_text(given)}" if isinstance(given, str | int | float | bool) and not has_shown_it else ""
         reasons.append(f"{name}{line}: {place}: {message}{got}")
     return "\n".join(reasons[:10])
 
