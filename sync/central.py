@@ -9,6 +9,7 @@ the release before, which have a token of the stations file (`sync.grants`).
 """
 
 from collections.abc import Callable, Coroutine
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from time import monotonic
@@ -32,6 +33,9 @@ from sync.wire import HelloAnswer as HelloAnswer2
 from sync.wire import SegmentsAnswer as SegmentsAnswer2
 from sync.wire_v1 import PATH as PATH_1
 from sync.wire_v1 import HelloAnswer, SegmentsAnswer
+
+Storing = Callable[[], AbstractContextManager[None]]
+"""Makes what is entered while segments are stored."""
 
 __all__ = ["Call", "Door", "Grants", "Limits", "router"]
 
@@ -71,6 +75,7 @@ def router(
     *,
     access: Access | None = None,
     note: Note = lambda kind, got: None,
+    while_storing: Storing = nullcontext,
 ) -> APIRouter:
     """The endpoints of sync over a log: `/sync/v1/...` with grants, `/sync/v2/...` with access.
 
@@ -81,13 +86,14 @@ def router(
         now: Central's clock, which a hello's answer tells.
         access: Who may speak in protocol version 2.
         note: Told of each refusal, such as `Refusals.note`.
+        while_storing: Entered while segments of a request are checked and stored.
     """
     most = limits or Limits()
     api = APIRouter()
     if grants is not None:
-        api.include_router(_version_1(log, grants, most, now, note))
+        api.include_router(_version_1(log, grants, most, now, note, while_storing))
     if access is not None:
-        api.include_router(_version_2(log, Door(access, most), most, now, note))
+        api.include_router(_version_2(log, Door(access, most), most, now, note, while_storing))
     return api
 
 
@@ -142,7 +148,9 @@ class Door:
         return call
 
 
-def _version_2(log: Log, door: Door, most: Limits, now: Callable[[], datetime], note: Note) -> APIRouter:
+def _version_2(
+    log: Log, door: Door, most: Limits, now: Callable[[], datetime], note: Note, while_storing: Storing
+) -> APIRouter:
     api = APIRouter(prefix=PATH, tags=["sync"], route_class=problem_route(note, cursors_2), responses=RESPONSES)
     attempts = Attempts(monotonic)
     small = most.body(ENROL_BYTES_MAX)
@@ -187,19 +195,22 @@ def _version_2(log: Log, door: Door, most: Limits, now: Callable[[], datetime], 
     def segments(
         call: Annotated[Call, Depends(door.opens("segments", REPLICATE, most.body_bytes_max))],
     ) -> SegmentsAnswer2:
-        return apply_2(
-            log,
-            call.caller,
-            call.body,
-            body_bytes_max=most.body_bytes_max,
-            segments_max=most.segments_max,
-            still_allowed=lambda transaction: door.access.check_again(transaction, call.caller),
-        )
+        with while_storing():
+            return apply_2(
+                log,
+                call.caller,
+                call.body,
+                body_bytes_max=most.body_bytes_max,
+                segments_max=most.segments_max,
+                still_allowed=lambda transaction: door.access.check_again(transaction, call.caller),
+            )
 
     return api
 
 
-def _version_1(log: Log, grants: Grantor, most: Limits, now: Callable[[], datetime], note: Note) -> APIRouter:
+def _version_1(
+    log: Log, grants: Grantor, most: Limits, now: Callable[[], datetime], note: Note, while_storing: Storing
+) -> APIRouter:
     api = APIRouter(prefix=PATH_1, tags=["sync"], route_class=problem_route(note, _cursors_1), responses=RESPONSES)
 
     async def granted(request: Request) -> Station:
@@ -225,7 +236,8 @@ def _version_1(log: Log, grants: Grantor, most: Limits, now: Callable[[], dateti
     def segments(
         station: Annotated[Station, Depends(granted)], body: Annotated[bytes, Depends(segments_body)]
     ) -> SegmentsAnswer:
-        return apply(log, station, body, body_bytes_max=most.body_bytes_max, segments_max=most.segments_max)
+        with while_storing():
+            return apply(log, station, body, body_bytes_max=most.body_bytes_max, segments_max=most.segments_max)
 
     return api
 
