@@ -9,6 +9,7 @@ the release before, which have a token of the stations file (`sync.grants`).
 """
 
 from collections.abc import Callable, Coroutine
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from time import monotonic
@@ -49,6 +50,9 @@ from sync.wire import HelloAnswer as HelloAnswer2
 from sync.wire import SegmentsAnswer as SegmentsAnswer2
 from sync.wire_v1 import PATH as PATH_1
 from sync.wire_v1 import HelloAnswer, SegmentsAnswer
+
+Storing = Callable[[], AbstractContextManager[None]]
+"""Makes what is entered while segments are stored."""
 
 __all__ = ["Call", "Door", "Grants", "Limits", "router"]
 
@@ -99,6 +103,7 @@ def router(
     access: Access | None = None,
     answers: Answers | None = None,
     note: Note = lambda kind, got: None,
+    while_storing: Storing = nullcontext,
 ) -> APIRouter:
     """The endpoints of sync over a log: `/sync/v1/...` with grants, `/sync/v2/...` with access.
 
@@ -110,13 +115,14 @@ def router(
         access: Who may speak in protocol version 2.
         answers: Answers the questions of stations, in version 2.
         note: Told of each refusal, such as `Refusals.note`.
+        while_storing: Entered while segments of a request are checked and stored.
     """
     most = limits or Limits()
     api = APIRouter()
     if grants is not None:
-        api.include_router(_version_1(log, grants, most, now, note))
+        api.include_router(_version_1(log, grants, most, now, note, while_storing))
     if access is not None:
-        api.include_router(_version_2(log, Door(access, most), most, now, note, answers))
+        api.include_router(_version_2(log, Door(access, most), most, now, note, answers, while_storing))
         api.include_router(_repairs(log, Door(access, most), most, now, note))
     return api
 
@@ -173,7 +179,13 @@ class Door:
 
 
 def _version_2(
-    log: Log, door: Door, most: Limits, now: Callable[[], datetime], note: Note, answers: Answers | None
+    log: Log,
+    door: Door,
+    most: Limits,
+    now: Callable[[], datetime],
+    note: Note,
+    answers: Answers | None,
+    while_storing: Storing,
 ) -> APIRouter:
     api = APIRouter(prefix=PATH, tags=["sync"], route_class=problem_route(note, cursors_2), responses=RESPONSES)
     attempts = Attempts(monotonic)
@@ -221,17 +233,18 @@ def _version_2(
         request: Request,
         call: Annotated[Call, Depends(door.opens("segments", REPLICATE, most.body_bytes_max))],
     ) -> SegmentsAnswer2:
-        return apply_2(
-            log,
-            call.caller,
-            call.body,
-            body_bytes_max=most.body_bytes_max,
-            segments_max=most.segments_max,
-            still_allowed=lambda transaction: door.access.check_again(transaction, call.caller),
-            turns=turns,
-            order=request.headers.get(ORDER_HEADER, ""),
-            follows=request.headers.get(FOLLOWS_HEADER, ""),
-        )
+        with while_storing():
+            return apply_2(
+                log,
+                call.caller,
+                call.body,
+                body_bytes_max=most.body_bytes_max,
+                segments_max=most.segments_max,
+                still_allowed=lambda transaction: door.access.check_again(transaction, call.caller),
+                turns=turns,
+                order=request.headers.get(ORDER_HEADER, ""),
+                follows=request.headers.get(FOLLOWS_HEADER, ""),
+            )
 
     @api.post("/countersign", summary="Central signs that it holds what a station's checkpoint says")
     def countersigned(
@@ -279,7 +292,9 @@ def _add_questions(api: APIRouter, door: Door, answers: Answers) -> None:
         return Response(answers.query(call.caller, call.body), media_type="application/json")
 
 
-def _version_1(log: Log, grants: Grantor, most: Limits, now: Callable[[], datetime], note: Note) -> APIRouter:
+def _version_1(
+    log: Log, grants: Grantor, most: Limits, now: Callable[[], datetime], note: Note, while_storing: Storing
+) -> APIRouter:
     api = APIRouter(prefix=PATH_1, tags=["sync"], route_class=problem_route(note, _cursors_1), responses=RESPONSES)
 
     async def granted(request: Request) -> Station:
@@ -305,7 +320,8 @@ def _version_1(log: Log, grants: Grantor, most: Limits, now: Callable[[], dateti
     def segments(
         station: Annotated[Station, Depends(granted)], body: Annotated[bytes, Depends(segments_body)]
     ) -> SegmentsAnswer:
-        return apply(log, station, body, body_bytes_max=most.body_bytes_max, segments_max=most.segments_max)
+        with while_storing():
+            return apply(log, station, body, body_bytes_max=most.body_bytes_max, segments_max=most.segments_max)
 
     return api
 

@@ -140,6 +140,9 @@ class Settings(BaseSettings):
     rows_upkeep_s: Annotated[float, Field(ge=1, le=86400)] = 300.0
     """`vian serve` sees to the row tables (retention, partitions, closed days) this often, in seconds"""
 
+    rows_wait_s: Annotated[float, Field(ge=0, le=3600)] = 10.0
+    """`vian serve` lets rows wait so long while it stores what stations send as fast as they can, in seconds; 0: not"""
+
     @classmethod
     def settings_customise_sources(
         cls,
