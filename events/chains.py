@@ -33,7 +33,7 @@ class Run:
     chain_hash: bytes
     """chain hash after `sequence`"""
     position: int = field(default=0, compare=False)
-    """position of the segment that was taken last; 0 where nobody counts"""
+    """position of the segment that it ends with; 0 where nobody counts"""
 
     @property
     def events(self) -> int:
@@ -157,7 +157,7 @@ class Chains:
             return
         above = self._above(segment)
         if above is not None and above.after == grown.sequence:
-            grown = replace(above, after=run.after, after_hash=run.after_hash, position=segment.position)
+            grown = replace(above, after=run.after, after_hash=run.after_hash)
             runs.remove(above)
         self.runs[place] = sorted([*(each for each in runs if each.after != run.after), grown], key=_by_place)
 
@@ -175,13 +175,16 @@ class Chains:
         if run.sequence == before and (run is not NOTHING or (place, 0) not in self._coming):
             return run
         base = self._coming.get((place, before))
-        if base is None or run.sequence > before:
+        if base is None or run.sequence > before or base.position != segment.position:
             return None
         return Run(before, base.chain_hash, before, base.chain_hash)
 
     def _misplaced(self, segment: Segment) -> Fault:
         header = segment.header
-        run = self.below((header.stream, header.epoch), header.first_sequence)
+        place, before = (header.stream, header.epoch), header.first_sequence - 1
+        run = self.below(place, header.first_sequence)
+        if (base := self._coming.get((place, before))) is not None and base.position != segment.position:
+            return Fault(f"the base at sequence {before} says that a run begins at position {base.position}")
         if header.first_sequence > run.sequence + 1:
             lacking = run.sequence + 1
             return Fault(f"sequences {lacking} to {header.first_sequence - 1} are missing", lacking)

@@ -9,7 +9,7 @@ import copy
 import threading
 from collections import OrderedDict, deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Self
 
@@ -18,7 +18,7 @@ import pyarrow as pa
 from events import Segment, StreamName
 from store.errors import UNKNOWN, ChainBroken, SealedFileDamaged
 from store.places import Place
-from store.reading import Filter
+from store.reading import DERIVE, Filter
 from store.sealed import (
     End,
     Range,
@@ -127,6 +127,8 @@ class ColdTier:
             ArchiveUnavailable: The archive cannot be reached.
         """
         found: list[Segment] = []
+        if chosen.passes_over_derived:
+            chosen = replace(chosen, without=self._derived())
         while files := self.files(first, last, chosen, FILES_AT_A_TIME):
             for file in files:
                 for segment in self._segments(file, (first, last), chosen, None):
@@ -135,6 +137,11 @@ class ColdTier:
                         return found
             first = files[-1].last_position + 1
         return found
+
+    def _derived(self) -> list[str]:
+        """The streams that this log derives from others."""
+        rows = self._rows("select name from checkpoints where starts_with(name, %(begin)s)", {"begin": DERIVE})
+        return [str(name).removeprefix(DERIVE) for (name,) in rows]
 
     def changed_files(self, files: Iterable[SealedFile], digested: int = 0) -> Iterator[SealedFileDamaged]:
         """What is wrong with each file that is not, to the byte, the one that was sealed, or is not as the index says.

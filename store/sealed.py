@@ -333,6 +333,9 @@ def _masks(table: pa.Table, chosen: Filter, stream: Stream | None) -> Iterator[p
     for name, wanted in (("type", chosen.types), ("source", chosen.sources), ("station", chosen.stations)):
         if wanted is not None:
             yield pc.is_in(table.column(name), value_set=pa.array(list(wanted), pa.string()))
+    if chosen.without:
+        names = pc.binary_join_element_wise(*(table.column(name) for name in ("station", "source", "type")), "/")
+        yield pc.invert(pc.is_in(names, value_set=pa.array(list(chosen.without), pa.string())))
     if not chosen.with_hollow:
         yield pc.greater(pc.binary_length(table.column("payload")), 0)
     if chosen.since is not None:

@@ -131,14 +131,26 @@ class Walk:
         for head in standing.heads:
             self.check_head(head)
         for base in self.chains.not_begun():
-            if base.position <= self.position:
+            if base.position <= self.position and base.stream not in self.broken:
+                self.missed.update(first for first, last in self.holes.items() if first <= base.position <= last)
                 reason = f"it has a base at sequence {base.sequence}, position {base.position}, where no run begins"
-                self.broken.setdefault(base.stream, ChainBroken(base.stream, base.position, base.sequence + 1, reason))
+                self.broken[base.stream] = ChainBroken(base.stream, base.position, base.sequence + 1, reason)
         for place, runs in self.chains.runs.items():
-            said = standing.runs.get(place, [])
-            if runs != said and place[0] not in self.broken:
-                reason = f"it holds the sequences {_told(runs)}, its head and bases say {_told(said)}"
-                self.broken[place[0]] = ChainBroken(place[0], runs[-1].position or None, runs[0].after + 1, reason)
+            if place[0] not in self.broken and (fault := self._differing(place[0], runs, standing.runs.get(place, []))):
+                self.broken[place[0]] = fault
+
+    def _differing(self, name: StreamName, runs: list[Run], said: list[Run]) -> ChainBroken | None:
+        """How the runs that were seen are not those that the log says."""
+        by_begin = {run.after: run for run in said}
+        for run in runs:
+            other = by_begin.get(run.after)
+            if other == run:
+                continue
+            if other is not None and run.sequence < other.sequence:
+                return self._missing(name, run, other.sequence, None)
+            reason = f"its sequences {run.after + 1} to {run.sequence} are not what its head and bases say"
+            return ChainBroken(name, run.position, run.after + 1, reason)
+        return None
 
     def is_broken_between(self, first: int, last: int) -> bool:
         """Whether something was wrong with a range of positions."""
@@ -210,10 +222,6 @@ def _readable(log: Log, first: int, last: int) -> Iterator[list[Segment]]:
     """Pages before a segment that cannot be read; they can."""
     if first <= last:
         yield list(log.read_all(first, to_position=last, with_hollow=True))
-
-
-def _told(runs: list[Run]) -> str:
-    return ", ".join(f"{run.after + 1} to {run.sequence}" for run in runs) or "none"
 
 
 def _hole(first: int, last: int) -> ChainBroken:

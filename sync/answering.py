@@ -24,7 +24,7 @@ from sync.access import EVERY_STATION, Caller
 from sync.access import FIND as MAY_FIND
 from sync.access import QUERY as MAY_QUERY
 from sync.errors import Refusal, SelectRefused, WireError
-from sync.finding import columns_of, select
+from sync.lookup import columns_of, select
 from sync.pages import Pages
 from sync.questions import Answer, AnswerColumn, FindQuestion, QueryQuestion
 from sync.selects import COLUMNS_MAX, permitted

@@ -23,7 +23,7 @@ from sqlglot.tokenizer_core import Token, TokenType
 from events import EventType, schema_of
 
 FUNCTIONS = ("abs", "coalesce", "length", "lower", "round", "upper")
-_DEPTH_MAX = 150
+DEPTH_MAX = 150
 _DIALECT = "duckdb"
 
 Kind = Literal["number", "text", "time", "truth", "bytes", "null"]
@@ -107,8 +107,8 @@ def parse(text: str) -> Where:
     if not isinstance(tree, exp.Expr):
         raise WhereError(_placed(text, 0, "there is no condition here"))
     where = Where(text, tree)
-    if _depth(tree) > _DEPTH_MAX:
-        raise WhereError(_placed(text, 0, f"this is nested deeper than {_DEPTH_MAX}; shorten it, with IN perhaps"))
+    if _depth(tree) > DEPTH_MAX:
+        raise WhereError(_placed(text, 0, f"this is nested deeper than {DEPTH_MAX}; shorten it, with IN perhaps"))
     _check_nodes(where)
     return where
 

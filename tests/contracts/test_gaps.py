@@ -5,7 +5,8 @@ from dataclasses import replace
 import pytest
 
 from events import GENESIS, Run, Segment
-from store import Appended, BadRequest, ChainBroken, Log, SequenceConflict, verify
+from store import BadRequest, ChainBroken, Log, SequenceConflict, verify
+from tests.store.replicas import deliver
 from tests.store.samples import GATE, YARD, append, draft, owner
 
 
@@ -15,17 +16,6 @@ def sent(make_log) -> list[Segment]:
     origin = make_log()
     append(origin, GATE, *[10] * 10)
     return list(origin.read(GATE))
-
-
-def deliver(log: Log, sent: list[Segment], *numbers: int, may_jump: bool = True) -> list[Appended]:
-    """Deliver segments in one call, by number."""
-    before = [GENESIS, *(segment.chain_hash for segment in sent)]
-    return log.append(
-        [draft(GATE, 10 * number + 1, 10 * number + 10) for number in numbers],
-        [10 * number for number in numbers],
-        chain_hashes=[sent[number].chain_hash for number in numbers],
-        bases=[before[number] for number in numbers] if may_jump else None,
-    )
 
 
 def spans(log: Log) -> list[tuple[int, int]]:

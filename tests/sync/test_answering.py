@@ -351,7 +351,7 @@ def test_a_plate_is_found_however_it_is_written(central: Log) -> None:
 def test_a_find_answers_with_what_leads_to_the_evidence(central: Log) -> None:
     (row,) = find(central, kind="plate", plate="1AB2340").records()
     assert row == {
-        "time": NOON.isoformat(), "station": "oslo-1", "source": "gate", "plate": "1AB 23-40", "confidence": 0.5,
+        "time": NOON, "station": "oslo-1", "source": "gate", "plate": "1AB 23-40", "confidence": 0.5,
         "country": "CZ", "region": None, "id": "oslo-1/gate/plate_read/1",
     }  # fmt: skip
     (row,) = find(central, kind="situation", rule="wrong*", station="oslo-1").records()

@@ -3,6 +3,7 @@
 import contextlib
 from collections.abc import Callable
 from datetime import timedelta
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -16,6 +17,7 @@ from sync import Plan
 from sync.deriving import Deriver
 from sync.plan import derived_name
 from sync.planning import set_plan
+from tests.store.tiered import seal_all
 from tests.sync.conftest import BRNO, NOON, PRODUCER, append_points, points, stream_of
 
 MakeLog = Callable[..., Log]
@@ -43,7 +45,7 @@ def derived(log: Log, made_of: Plan, base: StreamName = GATE) -> list[Any]:
     """The events of the stream that a plan derives from another, in every epoch."""
     entry = made_of.chosen(base)
     assert entry is not None
-    segments = [segment for segment in log.read_all() if segment.stream == derived_name(base, entry)]
+    segments = list(log.read_lives(derived_name(base, entry)))
     assert all(segment.header.event_count for segment in segments)
     return [event for segment in segments for event in events_of(decode(segment, log.catalogue))]
 
@@ -159,6 +161,29 @@ def test_a_derived_stream_is_not_derived_from(station_log: Log) -> None:
     assert [str(head.stream.source) for head in station_log.streams() if "~" in head.stream.source] == [
         f"gate~{plan_of(filtered('frame > 1')).entries[0].filter_hash}"
     ]
+
+
+def test_who_reads_the_stations_log_gets_each_event_once_and_central_gets_what_was_sent(
+    station_log: Log, make_log: MakeLog, tmp_path: Path
+) -> None:
+    append_points(station_log, GATE, [5])
+    made = plan(station_log, filtered("frame > 1"))
+    run(Deriver(station_log, BRNO))
+    name = derived_name(GATE, made.entries[0])
+
+    def read(log: Log, **wanted: Any) -> list[StreamName]:
+        return [segment.stream for segment in log.read_all(types=["track_point"], **wanted)]
+
+    for _ in ("in PostgreSQL", "sealed"):
+        assert read(station_log) == [GATE]
+        assert read(station_log, stations=["brno-2"]) == [GATE]
+        assert read(station_log, sources=[name.source]) == [name]
+        assert read(station_log, with_hollow=True) == [GATE, name]
+        assert [segment.stream for segment in station_log.read(name)] == [name]
+        seal_all(station_log, tmp_path)
+    central = make_log()
+    central.append([encode(name, batch_of(points(0, 3)), PRODUCER)])
+    assert read(central) == [name]
 
 
 class Killed(Exception):
