@@ -40,6 +40,28 @@ class Row:
         return asdict(self)
 
 
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """One measurement beside what is wanted, where nothing else does the same."""
+
+    what: str
+    unit: str
+    reached: float
+    target: float | None = None
+    at_least: bool = True
+
+    @property
+    def is_reached(self) -> bool | None:
+        """Whether the target is reached; None where there is none."""
+        if self.target is None:
+            return None
+        return self.reached >= self.target if self.at_least else self.reached <= self.target
+
+    def plain(self) -> dict[str, Any]:
+        """For a file of results."""
+        return asdict(self)
+
+
 def rate(count: int, work: Callable[[], object]) -> float:
     """Units of work a second: `count` of them done by one call."""
     began = time.perf_counter()

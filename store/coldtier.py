@@ -9,7 +9,7 @@ import copy
 import threading
 from collections import OrderedDict, deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Self
 
@@ -18,7 +18,7 @@ import pyarrow as pa
 from events import Segment, StreamName
 from store.errors import UNKNOWN, ChainBroken, SealedFileDamaged
 from store.places import Place
-from store.reading import Filter
+from store.reading import DERIVE, Filter
 from store.sealed import (
     End,
     Range,
@@ -127,6 +127,8 @@ class ColdTier:
             ArchiveUnavailable: The archive cannot be reached.
         """
         found: list[Segment] = []
+        if chosen.passes_over_derived:
+            chosen = replace(chosen, without=self._derived())
         while files := self.files(first, last, chosen, FILES_AT_A_TIME):
             for file in files:
                 for segment in self._segments(file, (first, last), chosen, None):
@@ -135,6 +137,11 @@ class ColdTier:
                         return found
             first = files[-1].last_position + 1
         return found
+
+    def _derived(self) -> list[str]:
+        """The streams that this log derives from others."""
+        rows = self._rows("select name from checkpoints where starts_with(name, %(begin)s)", {"begin": DERIVE})
+        return [str(name).removeprefix(DERIVE) for (name,) in rows]
 
     def changed_files(self, files: Iterable[SealedFile], digested: int = 0) -> Iterator[SealedFileDamaged]:
         """What is wrong with each file that is not, to the byte, the one that was sealed, or is not as the index says.
@@ -152,12 +159,15 @@ class ColdTier:
             place = self.place()
             path = place.full(file.path)
             if file.last_position <= digested:
-                if (strange := self._misplaced(file)) is not None:
+                strange = self._misplaced(file)
+                if strange is not None and self._in_its_place(file) is None:
                     yield damaged(path, file.first_position, file.last_position, strange)
                 continue
             try:
                 sha256, size = place.digest(file.path)
             except FileNotFoundError:
+                if self._in_its_place(file) is not None:
+                    continue  # written anew meanwhile, which compared it
                 yield damaged(path, file.first_position, file.last_position, "is not there")
                 continue
             if (sha256, size) != (file.sha256, file.bytes):
@@ -328,11 +338,21 @@ class ColdTier:
         try:
             source = place.open(file.path)
         except FileNotFoundError as error:
+            if (newer := self._in_its_place(file)) is not None:
+                return self._opened(newer, first)
             raise damaged(path, first, file.last_position, "is not there") from error
         try:
             return SealedReader(source, path, file.first_position, file.last_position)
         except SealedFileDamaged as broken:
             raise _from(first, broken) from broken
+
+    def _in_its_place(self, file: SealedFile) -> SealedFile | None:
+        """The file that has taken a file's place since the index was asked; None where none has."""
+        rows = self._rows(
+            f"select {_FILE_COLUMNS} from sealed_files f where f.first_position = %(first)s and f.path <> %(path)s",
+            {"first": file.first_position, "path": file.path},
+        )
+        return SealedFile(*rows[0]) if rows else None
 
 
 def _from(first: int, broken: SealedFileDamaged) -> SealedFileDamaged:

@@ -23,6 +23,12 @@ _COLUMNS = (
     "g.recorded_at"
 )
 _FROM = f"{_COLUMNS} from segments g join streams s on s.id = g.stream_id where "
+DERIVE = "derive:"
+"""Begins the name of the checkpoint of a stream that this log derives from another."""
+_NOT_DERIVED = (
+    "(strpos(s.source, '~') = 0 or not exists (select from checkpoints c "
+    f"where c.name = '{DERIVE}' || s.station || '/' || s.source || '/' || s.type))"
+)
 _SEALED_POSITION = "(select sealed_position from archive_head)"
 
 
@@ -42,7 +48,9 @@ class Filter:
     """Which segments are wanted; None lets all through.
 
     Hollow segments, those without payload, are passed over unless they are asked for: who decodes events has no use
-    for them, and who follows chains, or ships, seals and backs up, must have them.
+    for them, and who follows chains, or ships, seals and backs up, must have them. So are streams that this log derived
+    from others of its own, unless a source is named: who reads them all would get their events twice. In another log,
+    such as central's, they are streams like any other.
 
     Raises:
         BadRequest: A time is naive.
@@ -54,6 +62,13 @@ class Filter:
     since: datetime | None = None
     until: datetime | None = None
     with_hollow: bool = False
+    without: Sequence[str] = ()
+    """Names of streams that are not wanted."""
+
+    @property
+    def passes_over_derived(self) -> bool:
+        """Whether streams that this log derived are left out."""
+        return not self.with_hollow and self.sources is None
 
     def __post_init__(self) -> None:
         for name, time in (("since", self.since), ("until", self.until)):
@@ -87,6 +102,8 @@ def read_query(from_position: int, to_position: int, chosen: Filter, limit: int)
     conditions = ["g.position between %(first)s and %(last)s", *(condition for condition, _ in used.values())]
     if not chosen.with_hollow:
         conditions.append("g.payload is not null")
+    if chosen.passes_over_derived:
+        conditions.append(_NOT_DERIVED)
     parameters = {"first": from_position, "last": to_position, "limit": limit}
     parameters |= {name: value for name, (_, value) in used.items()}
     where = " and ".join(conditions)

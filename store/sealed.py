@@ -179,8 +179,11 @@ class SealedWriter:
         """
         rows = [self._row(segment, before) for segment, before in zip(segments, previous, strict=True)]
         columns = [pa.array(column, field.type) for field, column in zip(SCHEMA, zip(*rows, strict=True), strict=True)]
-        table = pa.Table.from_arrays(columns, schema=SCHEMA)
-        self._writer.write_table(table, row_group_size=len(rows))
+        self.write_table(pa.Table.from_arrays(columns, schema=SCHEMA))
+
+    def write_table(self, table: pa.Table) -> None:
+        """Write a table of such rows as one row group."""
+        self._writer.write_table(table, row_group_size=table.num_rows)
 
     def close(self) -> None:
         """Write the end of the file."""
@@ -333,6 +336,9 @@ def _masks(table: pa.Table, chosen: Filter, stream: Stream | None) -> Iterator[p
     for name, wanted in (("type", chosen.types), ("source", chosen.sources), ("station", chosen.stations)):
         if wanted is not None:
             yield pc.is_in(table.column(name), value_set=pa.array(list(wanted), pa.string()))
+    if chosen.without:
+        names = pc.binary_join_element_wise(*(table.column(name) for name in ("station", "source", "type")), "/")
+        yield pc.invert(pc.is_in(names, value_set=pa.array(list(chosen.without), pa.string())))
     if not chosen.with_hollow:
         yield pc.greater(pc.binary_length(table.column("payload")), 0)
     if chosen.since is not None:

@@ -12,11 +12,12 @@ from datetime import datetime
 from typing import Protocol
 
 from events import CorruptSegment, Draft, PayloadGone, Segment, Station, StreamName, UnknownType, chain, decode
-from store import ChainBroken, Log, SequenceConflict
+from store import ChainBroken, Log, SequenceConflict, Transaction
 from store.writing import Appended
 from sync.errors import ProtocolMismatch, Refusal, WireError
 from sync.held import held_of, runs_of
 from sync.runs import StreamKey
+from sync.turns import Turns
 from sync.wire import (
     PROTOCOLS,
     Cursor,
@@ -97,7 +98,10 @@ def apply_2(
     *,
     body_bytes_max: int,
     segments_max: int,
-    still_allowed: Callable[[], None] = lambda: None,
+    still_allowed: Callable[[Transaction], None] = lambda _: None,
+    turns: Turns | None = None,
+    order: str = "",
+    follows: str = "",
 ) -> SegmentsAnswer:
     """Store the segments of the body, and say what is held of their streams then.
 
@@ -107,8 +111,10 @@ def apply_2(
         body: Records.
         body_bytes_max: Most bytes of it.
         segments_max: Most records in it.
-        still_allowed: Called when all is checked, directly before it is stored; raises if the caller may no
-            longer write.
+        still_allowed: Called in the transaction that stores, before it does; raises if the caller may no longer write.
+        turns: Where requests that follow one another wait.
+        order: The request's name, which the station gave it.
+        follows: Name of the request on which it goes on.
 
     Raises:
         Refusal: Something is wrong with them; nothing was stored.
@@ -116,9 +122,9 @@ def apply_2(
             been stored.
     """
     records = _records(body, body_bytes_max, segments_max)
-    check(log, caller.station, records, may_lack_payload=True)
-    still_allowed()
-    appended = store_records(log, records)
+    with (turns or Turns()).taken(caller.station, order, follows if turns else ""):
+        check(log, caller.station, records, may_lack_payload=True)
+        appended = store_records(log, records, still_allowed)
     duplicates = sum(one.was_there for one in appended)
     held = runs_of(log, _keys(records))
     return SegmentsAnswer(
@@ -189,20 +195,25 @@ def check(log: Log, station: Station, records: Sequence[Record], *, may_lack_pay
             raise corrupt(segment, code, str(error), "a payload that holds what the header says") from error
 
 
-def store_records(log: Log, records: Sequence[Record]) -> list[Appended]:
+def store_records(
+    log: Log, records: Sequence[Record], still_allowed: Callable[[Transaction], None] = lambda _: None
+) -> list[Appended]:
     """What became of each record in the log; all or none is stored.
 
     Raises:
-        Refusal: One does not go on from what is held, or other bytes are there.
+        Refusal: One does not go on from what is held, or other bytes are there, or the caller may not write any more.
         LogUnavailable: The database is away.
     """
     try:
-        return log.append(
-            [_draft(record.segment) for record in records],
-            [record.segment.header.first_sequence - 1 for record in records],
-            epochs=[record.segment.header.epoch for record in records],
-            chain_hashes=[record.segment.chain_hash for record in records],
-        )
+        with log.transaction() as transaction:
+            still_allowed(transaction)
+            return transaction.append(
+                [_draft(record.segment) for record in records],
+                [record.segment.header.first_sequence - 1 for record in records],
+                epochs=[record.segment.header.epoch for record in records],
+                chain_hashes=[record.segment.chain_hash for record in records],
+                bases=[record.previous if record.begins_run else None for record in records],
+            )
     except (SequenceConflict, ChainBroken) as error:
         raise _conflict(log, records, error) from error
 

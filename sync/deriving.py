@@ -6,6 +6,9 @@ whatever steps it was made, and also when its entry went out of the plan and cam
 stream, complete from its own `from`. What was derived and how far that goes commit together: the checkpoint
 `derive:STREAM` is the log's position up to which the base stream was read.
 
+Who reads this log by position, as rules and queries do, gets no derived streams unless their source is named: the
+events are there already (`store.reading.Filter`).
+
 A deriver is stepped; a step reads one bounded page of the log. A base stream that cannot be filtered (a type unknown
 here, a damaged segment, a condition that fails) stops its derived stream until the plan changes or the program is
 started again, and the others go on. Segments whose payload has left the disk are passed over.
@@ -18,13 +21,14 @@ from datetime import datetime
 from events import Draft, EventBatch, EventError, EventType, Position, Producer, Segment, Station, StreamName, decode
 from events.segment import draft_of, encode_payload
 from store import Checkpoint, Log, StreamHead
-from store.reading import Filter
+from store.reading import DERIVE, Filter
+from sync.entries import Entry, base_of, derived_name
 from sync.errors import FilterFailed, PlanError
 from sync.filtering import Sieve, database, joined
-from sync.plan import Entry, Plan, base_of, derived_name
+from sync.plan import Plan
 from sync.planning import Planned, planned_in
 
-CHECKPOINT = "derive:"
+CHECKPOINT = DERIVE
 """Begins the name of a derived stream's checkpoint."""
 PRODUCER, PRODUCER_VERSION = "derive", "1"
 PAGE_SEGMENTS = 200

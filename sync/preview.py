@@ -19,9 +19,10 @@ from store.sizes import Part, Size, sizes
 from sync.changes import Change, changes_of
 from sync.checking import warnings_of
 from sync.deriving import CHECKPOINT, SEGMENT_EVENTS
+from sync.entries import Entry, base_of, derived_name
 from sync.errors import FilterFailed, PlanError
 from sync.filtering import Sieve, database, joined
-from sync.plan import Entry, Plan, base_of, derived_name
+from sync.plan import Plan
 from sync.reports import Status
 
 SAMPLE_SEGMENTS = 16
@@ -183,10 +184,8 @@ class _Look:
         """What a filter leaves of a stream: counted where it has been made already, else estimated."""
         try:
             name = derived_name(base, entry)
-            made = self._checkpoints.get(f"{CHECKPOINT}{name}")
-            done = self._sized([place for place in self._heads if place[0] == name], None)
-            if made is not None and made.position >= self._head - 1:
-                return done
+            if self._is_made(base, name):
+                return self._sized([place for place in self._heads if place[0] == name], None)
             sample = self._sampled(base, entry)
         except (PlanError, EventError, FilterFailed) as error:
             problems.append(f"{base}: {error}")
@@ -199,6 +198,14 @@ class _Look:
         events = max(0, round(before * sample.share) - held)
         size = Size(-(-events // SEGMENT_EVENTS), events, round(events * sample.bytes_per_event), 0, is_exact=False)
         return _Sized(size, _bytes(name, size))
+
+    def _is_made(self, base: StreamName, name: StreamName) -> bool:
+        """Whether all that the base stream holds has been filtered already."""
+        made = self._checkpoints.get(f"{CHECKPOINT}{name}")
+        if made is None:
+            return False
+        wanted = Filter([base.type], [base.source], [base.station])
+        return made.position >= self._head or not self._log.page(made.position + 1, self._head, wanted, 1)
 
     def _sampled(self, base: StreamName, entry: Entry) -> _Sample:
         """What the filter leaves of segments from all over the stream."""

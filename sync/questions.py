@@ -4,6 +4,8 @@ Contract: frozen. A question is one page: with `next` of an answer as `page` it 
 and by whom is recorded at central before the answer leaves.
 """
 
+from collections.abc import Callable
+from datetime import datetime
 from typing import Annotated, Any, Literal
 
 from pydantic import AwareDatetime, Field, JsonValue, model_validator
@@ -97,7 +99,7 @@ class Answer(Message):
     cut: Text | None = None
     """which limit cut the answer short; null where it is whole"""
     position: Annotated[int, Field(ge=0)]
-    """newest segment of central's log"""
+    """newest segment of central's log, but for the record of questions"""
     rows_position: Annotated[int, Field(ge=0)]
     """newest segment of which the rows answer"""
 
@@ -106,7 +108,33 @@ class Answer(Message):
         head = self.model_dump_json(exclude={"rows"})
         return f'{head[:-1]},"rows":[{",".join(lines)}]}}'.encode()
 
+    def values(self) -> list[list[Any]]:
+        """The rows; times as such, but for those that Python does not know."""
+        readers = [_READERS.get(column.type, _as_is) for column in self.columns]
+        return [[read(value) for read, value in zip(readers, row, strict=True)] for row in self.rows]
+
     def records(self) -> list[dict[str, Any]]:
         """The rows by column name."""
         names = [column.name for column in self.columns]
-        return [dict(zip(names, row, strict=True)) for row in self.rows]
+        return [dict(zip(names, row, strict=True)) for row in self.values()]
+
+    @model_validator(mode="after")
+    def _is_whole(self) -> "Answer":
+        wanted = len(self.columns)
+        if any(len(row) != wanted for row in self.rows):
+            raise ValueError(f"each row must have {wanted} values, one for each column")
+        return self
+
+
+def _as_is(value: JsonValue) -> Any:
+    return value
+
+
+def _time(value: JsonValue) -> Any:
+    try:
+        return datetime.fromisoformat(value) if isinstance(value, str) else value
+    except ValueError:
+        return value
+
+
+_READERS: dict[str, Callable[[JsonValue], Any]] = {"timestamptz": _time}

@@ -34,17 +34,17 @@ from store import StationKey
 from sync.errors import BadSignature
 
 LABEL = TAG = "vian-sync"
+STATION_HEADER = "vian-station"
 CENTRAL_HEADER = "vian-central"
 NUMBER_HEADER = "vian-number"
 CHALLENGE_HEADER = "vian-challenge"
 
-_BODY = ("@method", "@path", "content-digest", "content-length")
-SESSION = (*_BODY, "authorization", CENTRAL_HEADER, NUMBER_HEADER)
-"""What the signature of a request within a session covers."""
-HELLO = (*_BODY, CENTRAL_HEADER, CHALLENGE_HEADER)
-"""What the signature of a hello covers."""
-ENROL = _BODY
+ENROL = ("@method", "@path", "content-digest", "content-length", STATION_HEADER)
 """What the signature of an enrolment covers; its key comes in the body."""
+HELLO = (*ENROL, CENTRAL_HEADER, CHALLENGE_HEADER)
+"""What the signature of a hello covers."""
+SESSION = (*ENROL, "authorization", CENTRAL_HEADER, NUMBER_HEADER)
+"""What the signature of a request within a session covers."""
 
 _HOST = "https://central"
 """Any: the signature names central by its key, not by an address that a proxy may change."""
@@ -127,14 +127,16 @@ class RequestSigner(httpx.Auth):
 
     Args:
         key: The station's key.
-        central: Id of central's key, as it was told at enrolment.
+        station: The station's name.
+        central: Id of central's key, as it was told at enrolment; empty before.
         path: Path of the protocol's version.
     """
 
     requires_request_body = True
 
-    def __init__(self, key: StationKey, central: str, path: str) -> None:
+    def __init__(self, key: StationKey, station: str, central: str, path: str) -> None:
         self._key = key
+        self._station = station
         self._central = central
         self._path = path
         self._lock = threading.Lock()
@@ -159,8 +161,12 @@ class RequestSigner(httpx.Auth):
         yield request
 
     def _sign(self, request: httpx.Request, endpoint: str) -> None:
-        headers = {"content-digest": content_digest(request.content), "content-length": str(len(request.content))}
-        headers |= self._proof(endpoint)
+        headers = {
+            "content-digest": content_digest(request.content),
+            "content-length": str(len(request.content)),
+            STATION_HEADER: self._station,
+            **self._proof(endpoint),
+        }
         request.headers.update(headers | sign(headers, self._path, endpoint, self._key))
 
     def _proof(self, endpoint: str) -> dict[str, str]:

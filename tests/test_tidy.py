@@ -139,7 +139,7 @@ def shown_commands() -> Iterator[tuple[str, str]]:
 def test_every_command_that_a_page_shows_can_be_given(page: str, line: str) -> None:
     words = shlex.split(line, comments=True)
     known = dict(all_commands())
-    path = next((name for name in (" ".join(words[:3]), " ".join(words[:2])) if name in known), None)
+    path = next((name for length in (4, 3, 2) if (name := " ".join(words[:length])) in known), None)
     assert path is not None, f"{page} shows a command that there is not: {line}"
     before_the_rest = words[: words.index("--")] if "--" in words else words
     options = {word.split("=")[0] for word in before_the_rest if word.startswith("-")}

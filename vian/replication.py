@@ -12,10 +12,12 @@ import structlog
 from events import station_name
 from store import Log
 from sync.checking import check_filters
+from sync.client_v1 import CentralV1
 from sync.daemon import Daemon
+from sync.deadlines import bounded
 from sync.plan import Plan
 from sync.planning import planned_in
-from sync.reports import Step
+from sync.reports import Pace, Step
 from vian.clock import utc_now
 from vian.errors import WrongUsage
 from vian.parts import Part
@@ -23,6 +25,8 @@ from vian.parts import Part
 logger = structlog.get_logger()
 
 REQUEST_SECONDS_MAX = 30.0
+PACE = Pace(in_flight=2)
+"""One request is answered while the next one travels."""
 DEFAULT_PLAN = (
     {"stream": "*/*/situation_detected", "priority": "situations"},
     {"stream": "*/*/rule_deployed", "priority": "situations"},
@@ -92,7 +96,12 @@ def station_daemon(
             f"there; or extract with --station {station}"
         )
     with httpx.Client(base_url=central, timeout=REQUEST_SECONDS_MAX, transport=transport) as client:
-        yield Daemon(log, station_name(station), plan, client, token=token, now=now, random=random.random)
+        bounds = bounded(client)
+        try:
+            link = CentralV1(client, token)
+            yield Daemon(log, station_name(station), plan, link, now=now, random=random.random, pace=PACE)
+        finally:
+            bounds.abort()
 
 
 def _is_address(text: str) -> bool:

@@ -1,7 +1,7 @@
 -- Writes damaged segments anew, payloads and headers; their positions and times of recording stay as they are.
 --
 -- Each must follow what is before it in its stream, by its hash, and must be what comes after it demands: the segment
--- that follows, by that one's hash, or the stream's head. Several that lie side by side are given together. So nothing
+-- that follows, by that one's hash, the stream's head, or the end of a run below a base. Several that lie side by side are given together. So nothing
 -- but the bytes that were there gets in here.
 -- Errors: VA008, nothing is changed.
 create function repair_segments(
@@ -33,11 +33,16 @@ begin
     if before is null then
       select g.chain_hash into before from segments g
         where g.stream_id = r.stream_id and g.first_sequence < r.first_sequence
+          and g.first_sequence + g.event_count = r.first_sequence
         order by g.first_sequence desc limit 1;
     end if;
     if before is null then
       select e.chain_hash into before from sealed_ranges e
         where e.stream_id = r.stream_id and e.last_sequence = r.first_sequence - 1;
+    end if;
+    if before is null then
+      select b.chain_hash into before from stream_bases b
+        where b.stream_id = r.stream_id and b.sequence = r.first_sequence - 1;
     end if;
     select * into following from segments g where g.stream_id = r.stream_id and g.first_sequence = last + 1;
     if found then
@@ -46,7 +51,8 @@ begin
         following.time_max, following.producer, following.producer_version, following.configuration_hash)
         || following.payload_hash) = following.chain_hash;
     else
-      is_demanded := s.sequence = last and s.chain_hash = r.chain_hash;
+      is_demanded := (s.sequence = last and s.chain_hash = r.chain_hash) or exists (select from stream_bases b
+        where b.stream_id = r.stream_id and b.filled_sequence = last and b.filled_hash = r.chain_hash);
     end if;
     if sha256(r.payload) is distinct from r.payload_hash or is_demanded is not true
         or sha256(before || segment_header(s.epoch, s.station, s.source, s.type, r.first_sequence, r.event_count,

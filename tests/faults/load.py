@@ -185,6 +185,11 @@ class Process:
             pass
         return words
 
+    @property
+    def is_running(self) -> bool:
+        """Whether it has not ended yet."""
+        return self._process.is_alive()
+
     def signal(self, number: int) -> None:
         """Send it a signal."""
         os.kill(self._process.pid or 0, number)

@@ -21,6 +21,7 @@ from fastapi import FastAPI
 from events import StreamName, station_name
 from store import Appender, Log, LogUnavailable, StoreError
 from sync import Daemon, Grants, Limits, Pace, Plan, Step, router, token_hash
+from sync.client_v1 import CentralV1
 from tests.faults.load import WAIT_S, frames, opened, persistently
 from tests.store.samples import NOON, PRODUCER
 
@@ -51,7 +52,7 @@ def clock(offset_file: Path) -> datetime:
 def append_slowly(data_dir: Path, seed: int, say: Connection) -> None:
     """Append to all streams, a little at a time, and say where each stands once it is acknowledged."""
     choose = random.Random(seed)
-    with opened(data_dir) as log:
+    with _open(data_dir) as log:
         appender = Appender(log, PRODUCER, wait_s=WAIT_S)
         heads = {stream: persistently(log, lambda s=stream: log.stream_head(s)).sequence for stream in STREAMS}
         say.send(dict(heads))
@@ -72,15 +73,14 @@ def append_slowly(data_dir: Path, seed: int, say: Connection) -> None:
 
 def sync_until_killed(data_dir: Path, port: int, seed: int, say: Connection) -> None:
     """Run the station's daemon against central's port, and say of each step what it did, and its error."""
-    with opened(data_dir) as log, httpx.Client(base_url=f"http://127.0.0.1:{port}", timeout=ANSWER_S_MAX) as client:
+    with _open(data_dir) as log, httpx.Client(base_url=f"http://127.0.0.1:{port}", timeout=ANSWER_S_MAX) as client:
         daemon = persistently(
             log,
             lambda: Daemon(
                 log,
                 STATION,
                 Plan.of({"entries": [{"stream": "*/*/*"}]}),
-                client,
-                token=TOKEN,
+                CentralV1(client, TOKEN),
                 now=lambda: clock(data_dir / "clock"),
                 random=random.Random(seed).random,
                 pace=PACE,
@@ -96,7 +96,7 @@ def sync_until_killed(data_dir: Path, port: int, seed: int, say: Connection) -> 
 def serve_until_killed(data_dir: Path, port: int, say: Connection) -> None:
     """Serve central over the log, and say when it listens."""
     logging.getLogger("uvicorn").setLevel(logging.CRITICAL)  # what it finds strange is what we send
-    with opened(data_dir) as log:
+    with _open(data_dir) as log:
         listening = socket.create_server(("127.0.0.1", port))
         listening.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         app = FastAPI()
@@ -111,6 +111,18 @@ def serve_until_killed(data_dir: Path, port: int, say: Connection) -> None:
         threading.Thread(target=_keep, args=(log,), daemon=True).start()
         say.send("ready")
         uvicorn.Server(uvicorn.Config(app, log_config=None, lifespan="off", ws="none")).run(sockets=[listening])
+
+
+def _open(data_dir: Path) -> Log:
+    """The log, once its database is there: it may be recovering, or its disk full."""
+    deadline = time.monotonic() + WAIT_S
+    while True:
+        try:
+            return opened(data_dir)
+        except LogUnavailable:
+            if time.monotonic() > deadline:
+                raise
+        time.sleep(_LOOK_EVERY_S)
 
 
 def _keep(log: Log) -> None:

@@ -1,13 +1,13 @@
 """Payloads that leave the log: what stays, what is read, what verifies, and what may come back."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import psycopg
 import pytest
 
-from events import PayloadGone, Segment, SegmentsPruned, decode
+from events import Draft, PayloadGone, Segment, SegmentsPruned, decode
 from store import BadRequest, Log, Projector, Subscription, back_up, open_log, restore, verify
 from store.payloads import may_leave, put_back, reclaim, take_off, weights
 from tests.conftest import Server
@@ -184,3 +184,22 @@ def test_a_backup_holds_it_and_a_restored_log_too(log: Log, empty: str, tmp_path
     with open_log(dsn=empty) as restored:
         assert verify(restored).is_sound
         assert [each.has_payload for each in points_of(restored, with_hollow=True)] == [True, False, True]
+
+
+@on_both
+def test_a_replica_takes_a_segment_whose_payload_was_gone_before_it_came(log: Log, make_log: Callable[[], Log]) -> None:
+    append(log, GATE, 3, 2)
+    hollow(log, 1)
+    replica = make_log()
+    for segment in log.read_all(with_hollow=True):
+        header = segment.header
+        times = (header.time_min, header.time_max)
+        draft = Draft(
+            header.stream, header.event_count, header.schema_version, *times, header.producer, segment.payload,
+            segment.payload_hash,
+        )  # fmt: skip
+        replica.append([draft], [header.first_sequence - 1], chain_hashes=[segment.chain_hash])
+    assert [each.has_payload for each in points_of(replica, with_hollow=True)] == [False, True]
+    assert query(replica, "select count(*) from segments where payload is null") == [(1,)]
+    found = verify(replica, station="central")
+    assert (found.is_sound, found.hollow, found.unrecorded) == (True, 1, 0)

@@ -3,6 +3,7 @@
 import contextlib
 from collections.abc import Callable
 from datetime import timedelta
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -10,13 +11,14 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from events import Catalogue, EventType, PlateRead, StreamName, batch_of, decode, encode, events_of
-from store import Log, LogUnavailable
+from store import Log, LogUnavailable, verify
 from store.log import Transaction
 from sync import Plan
 from sync.deriving import Deriver
-from sync.plan import derived_name
-from sync.planning import set_plan
-from tests.sync.conftest import BRNO, NOON, PRODUCER, append_points, points, stream_of
+from sync.entries import derived_name
+from sync.planning import plan_stream, set_plan
+from tests.store.tiered import seal_all
+from tests.sync.conftest import BRNO, NOON, PRODUCER, MakeDaemon, append_points, points, stream_of
 
 MakeLog = Callable[..., Log]
 GATE, YARD = stream_of("gate"), stream_of("yard")
@@ -43,7 +45,7 @@ def derived(log: Log, made_of: Plan, base: StreamName = GATE) -> list[Any]:
     """The events of the stream that a plan derives from another, in every epoch."""
     entry = made_of.chosen(base)
     assert entry is not None
-    segments = [segment for segment in log.read_all() if segment.stream == derived_name(base, entry)]
+    segments = list(log.read_lives(derived_name(base, entry)))
     assert all(segment.header.event_count for segment in segments)
     return [event for segment in segments for event in events_of(decode(segment, log.catalogue))]
 
@@ -159,6 +161,48 @@ def test_a_derived_stream_is_not_derived_from(station_log: Log) -> None:
     assert [str(head.stream.source) for head in station_log.streams() if "~" in head.stream.source] == [
         f"gate~{plan_of(filtered('frame > 1')).entries[0].filter_hash}"
     ]
+
+
+def test_who_reads_the_stations_log_gets_each_event_once_and_central_gets_what_was_sent(
+    station_log: Log, make_log: MakeLog, tmp_path: Path
+) -> None:
+    append_points(station_log, GATE, [5])
+    made = plan(station_log, filtered("frame > 1"))
+    run(Deriver(station_log, BRNO))
+    name = derived_name(GATE, made.entries[0])
+
+    def read(log: Log, **wanted: Any) -> list[StreamName]:
+        return [segment.stream for segment in log.read_all(types=["track_point"], **wanted)]
+
+    for _ in ("in PostgreSQL", "sealed"):
+        assert read(station_log) == [GATE]
+        assert read(station_log, stations=["brno-2"]) == [GATE]
+        assert read(station_log, sources=[name.source]) == [name]
+        assert read(station_log, with_hollow=True) == [GATE, name]
+        assert [segment.stream for segment in station_log.read(name)] == [name]
+        seal_all(station_log, tmp_path)
+    central = make_log()
+    central.append([encode(name, batch_of(points(0, 3)), PRODUCER)])
+    assert read(central) == [name]
+
+
+def test_central_gets_the_derived_stream_in_place_of_its_base(
+    station_log: Log, central_log: Log, make_daemon: MakeDaemon
+) -> None:
+    append_points(station_log, GATE, [50])
+    append_points(station_log, YARD, [5])
+    made = plan(station_log, filtered("track_id = 2"))
+    run(Deriver(station_log, BRNO))
+    make_daemon(plan=made).catch_up()
+    append_points(station_log, GATE, [50])
+    run(Deriver(station_log, BRNO))
+    make_daemon(plan=made).catch_up()
+
+    name = derived_name(GATE, made.entries[0])
+    assert frames(derived(central_log, made)) == [frame for frame in range(100) if frame % 7 == 1]
+    assert central_log.stream_head(name) == station_log.stream_head(name)
+    assert {head.stream for head in central_log.streams()} == {name, YARD, plan_stream(BRNO)}
+    assert verify(central_log).broken == []
 
 
 class Killed(Exception):

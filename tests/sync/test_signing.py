@@ -20,7 +20,7 @@ KEYS = {KEY.id: KEY.public, OTHER.id: OTHER.public}
 
 def request(endpoint: str = "segments", body: bytes = b"a body", key: StationKey = KEY) -> httpx.Headers:
     """The fields of a signed request, as central gets them."""
-    signer = RequestSigner(key, CENTRAL, PATH)
+    signer = RequestSigner(key, "brno-2", CENTRAL, PATH)
     signer.answer("a challenge")
     signer.use("a-token")
     url = f"https://central.example/behind/a/proxy{PATH}/{endpoint}"
@@ -45,7 +45,7 @@ def test_a_hello_is_signed_over_its_challenge_and_an_enrolment_over_its_body() -
 
 
 def test_numbers_grow_within_a_session_and_begin_anew_with_the_next() -> None:
-    signer = RequestSigner(KEY, CENTRAL, PATH)
+    signer = RequestSigner(KEY, "brno-2", CENTRAL, PATH)
 
     def number() -> str:
         sent = next(signer.auth_flow(httpx.Request("POST", f"http://x{PATH}/segments", content=b"")))
@@ -62,6 +62,7 @@ CHANGES: dict[str, Callable[[httpx.Headers], object]] = {
         "content-digest": content_digest(b"another body"),
         "content-length": "7",
         "authorization": "Bearer another",
+        "vian-station": "oslo-1",
         "vian-central": "d" * 32,
         "vian-number": "2",
         "signature": "vian-sync=:" + "A" * 86 + "==:",

@@ -314,11 +314,17 @@ def check_item(root: Path, item: Said, checkpoints: dict[int, Said], orders: dic
     base = item.get("base")
     begin = (base["sequence"], bytes.fromhex(base["chain_hash"])) if base else (0, ZEROS)
     wanted = (item["ranges"][0][0], item["ranges"][-1][1])
-    anchor = max([begin, *(head for head in heads_of(start, item) if begin[0] < head[0] < wanted[0])])
+    data = read(root, path)
+    # The chain begins behind what was signed last before it, or with the run.
+    first = next(segments_in(path, data), None)
+    signed_before = [
+        head for head in heads_of(start, item) if first is not None and begin[0] < head[0] < first["first"]
+    ]
+    anchor = max([begin, *signed_before])
     sequence, chain_hash = anchor
     passed = {anchor[0]: anchor[1]}
     whole: list[tuple[int, int]] = []
-    for segment in segments_in(path, read(root, path)):
+    for segment in segments_in(path, data):
         place = f"segment from sequence {segment['first']} (byte {segment['at']})"
         if segment["stream"] != name or segment["epoch"] != item["epoch"]:
             raise Bad(path, f"{place} is of stream {segment['stream']}, epoch {segment['epoch']}")

@@ -163,7 +163,8 @@ def test_verify_reads_what_came_since_and_all_of_it_when_told(filled: Log, at: t
     assert one(run("verify", *at, "--json"))["segments_read"] == 3
     append(filled, points(1), YARD)
     assert one(run("verify", *at, "--json")) == {
-        "sound": True, "segments": 4, "events": 41, "streams": 2, "position": 4, "segments_read": 1, "signed": []
+        "sound": True, "segments": 4, "events": 41, "streams": 2, "position": 4, "segments_read": 1,
+        "segments_without_payload": 0, "gaps": [], "signed": [],
     }  # fmt: skip
     assert run("verify", *at).out.endswith(
         "; up to position 4 it was found sound before and not read again (--full does)\n"

@@ -37,7 +37,7 @@ _COLUMNS = {
     ),
 }
 _VIEWS = {"plate": "plate_read_events", "situation": "situation_detected_events"}
-_SEPARATORS = " \t-._/:·•"
+SEPARATORS = " \t-._/:·•"
 """What stands between the letters of a plate, as in the function plate_key of the database."""
 
 
@@ -52,7 +52,7 @@ def plate_key(plate: str) -> str:
     >>> plate_key("1ab 23-45")
     '1AB2345'
     """
-    return "".join(letter.upper() if letter.isascii() else letter for letter in plate if letter not in _SEPARATORS)
+    return "".join(letter.upper() if letter.isascii() else letter for letter in plate if letter not in SEPARATORS)
 
 
 def like(pattern: str) -> str:
@@ -90,14 +90,16 @@ def select(
     if after is not None:
         given |= {f"after_{name}": value for name, value in zip(KEY, after, strict=True)}
         # The time alone first: it tells PostgreSQL which days it need not read.
-        conditions += ["time <= cast(%(after_time)s as timestamptz)", f"({', '.join(KEY)}) < ({_AFTER})"]
+        conditions += ["time <= cast(%(after_time)s as timestamptz)", f"({', '.join(_ORDER)}) < ({_AFTER})"]
     names = ", ".join((*(name for name, _ in _COLUMNS[question.kind]), f"json_build_array({', '.join(KEY)}) as key"))
     where = f" where {' and '.join(conditions)}" if conditions else ""
-    order = ", ".join(f"{name} desc" for name in KEY)
+    order = ", ".join(f"{each} desc" for each in _ORDER)
     text = f"select {names} from {_VIEWS[question.kind]}{where} order by {order} limit {limit}"
     return text, {name: value for name, value in given.items() if value is not None}
 
 
+_ORDER = ("time", 'station collate "C"', 'source collate "C"', "epoch", "sequence")
+"""The key, as every database orders it alike."""
 _CONDITIONS = {
     "stations": "station = any(%(stations)s)",
     "plate": "plate_key(plate) like %(plate)s",

@@ -1,0 +1,43 @@
+"""Many stations' daemons as tasks of one process: python -m benchmarks.sync_stations FOLDER NAME ...
+
+Contract: it says a line when all have said hello, and begins to send when it is told a line. It ends when central has
+everything of each.
+"""
+
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+from benchmarks.sync_servers import CENTRAL_URL, token_file
+from store import open_log
+from vian.replication import load_plan, station_daemon
+from vian.stations import read_token
+
+
+def main(folder: Path, names: list[str]) -> None:
+    """Run the stations' daemons until they are done."""
+    with ExitStack() as stack:
+        log = stack.enter_context(open_log(data_dir=folder / "station"))
+        daemons = [
+            stack.enter_context(
+                station_daemon(log, name, CENTRAL_URL, read_token(token_file(folder, name)), load_plan(None))
+            )
+            for name in names
+        ]
+        pool = stack.enter_context(ThreadPoolExecutor(len(daemons)))
+        list(pool.map(_greet, daemons))
+        sys.stdout.write("ready\n")
+        sys.stdout.flush()
+        sys.stdin.readline()
+        list(pool.map(lambda daemon: daemon.catch_up(), daemons))
+
+
+def _greet(daemon: Any) -> None:
+    while daemon.step().did != "hello":
+        pass
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), sys.argv[2:])
