@@ -12,9 +12,9 @@ from collections.abc import Callable, Coroutine
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from time import monotonic
-from typing import Annotated, Any
+from typing import Annotated, Any, Protocol
 
-from fastapi import APIRouter, Depends, Request
+from fastapi import APIRouter, Depends, Request, Response
 
 from events import Station
 from store import Log
@@ -26,6 +26,7 @@ from sync.enrolment import ENROL_BYTES_MAX, Attempts, Enrolled, parse_message
 from sync.errors import Refusal
 from sync.grants import Grantor, Grants
 from sync.problems import RESPONSES, Note, claim, cursors_2, problem_route
+from sync.questions import QUESTION_BYTES_MAX
 from sync.signing import STATION_HEADER
 from sync.wire import BODY_BYTES_MAX, HELLO_BYTES_MAX, PATH, SEGMENTS_MAX, Challenge, ChallengeRequest
 from sync.wire import HelloAnswer as HelloAnswer2
@@ -63,6 +64,16 @@ class Call:
     asked: Asked
 
 
+class Answers(Protocol):
+    """Answers questions of stations, as JSON. Each checks what is granted, and raises Refusal or LogUnavailable."""
+
+    def find(self, caller: Caller, body: bytes) -> bytes:
+        """What is found of plates or situations."""
+
+    def query(self, caller: Caller, body: bytes) -> bytes:
+        """What SQL gives."""
+
+
 def router(
     log: Log,
     grants: Grantor | None,
@@ -70,6 +81,7 @@ def router(
     now: Callable[[], datetime] = lambda: datetime.now(UTC),
     *,
     access: Access | None = None,
+    answers: Answers | None = None,
     note: Note = lambda kind, got: None,
 ) -> APIRouter:
     """The endpoints of sync over a log: `/sync/v1/...` with grants, `/sync/v2/...` with access.
@@ -80,6 +92,7 @@ def router(
         limits: What a request may cost.
         now: Central's clock, which a hello's answer tells.
         access: Who may speak in protocol version 2.
+        answers: Answers the questions of stations, in version 2.
         note: Told of each refusal, such as `Refusals.note`.
     """
     most = limits or Limits()
@@ -87,7 +100,7 @@ def router(
     if grants is not None:
         api.include_router(_version_1(log, grants, most, now, note))
     if access is not None:
-        api.include_router(_version_2(log, Door(access, most), most, now, note))
+        api.include_router(_version_2(log, Door(access, most), most, now, note, answers))
     return api
 
 
@@ -113,12 +126,12 @@ class Door:
 
         return self._call(asked, self._limits.hello_bytes_max)
 
-    def opens(self, endpoint: str, operation: str, bytes_max: int) -> Opened:
+    def opens(self, endpoint: str, operation: str | None, bytes_max: int) -> Opened:
         """A dependency: the station that asks `endpoint`, which the operation must be granted to.
 
         Args:
             endpoint: What stands behind the version in the path; it is signed.
-            operation: One of `sync.access.OPERATIONS`.
+            operation: One of `sync.access.OPERATIONS`; None where the endpoint looks at grants itself.
             bytes_max: Most bytes of the body.
         """
 
@@ -142,7 +155,9 @@ class Door:
         return call
 
 
-def _version_2(log: Log, door: Door, most: Limits, now: Callable[[], datetime], note: Note) -> APIRouter:
+def _version_2(
+    log: Log, door: Door, most: Limits, now: Callable[[], datetime], note: Note, answers: Answers | None
+) -> APIRouter:
     api = APIRouter(prefix=PATH, tags=["sync"], route_class=problem_route(note, cursors_2), responses=RESPONSES)
     attempts = Attempts(monotonic)
     small = most.body(ENROL_BYTES_MAX)
@@ -152,6 +167,7 @@ def _version_2(log: Log, door: Door, most: Limits, now: Callable[[], datetime], 
         return await read_body(request, small)
 
     async def attempted(request: Request) -> str | None:
+        claim(request, request.headers.get(STATION_HEADER))
         address = request.client.host if request.client is not None else None
         attempts.check(address)
         return address
@@ -196,7 +212,21 @@ def _version_2(log: Log, door: Door, most: Limits, now: Callable[[], datetime], 
             still_allowed=lambda transaction: door.access.check_again(transaction, call.caller),
         )
 
+    if answers is not None:
+        _add_questions(api, door, answers)
     return api
+
+
+def _add_questions(api: APIRouter, door: Door, answers: Answers) -> None:
+    """The endpoints for questions; whether they are granted is seen, and recorded, by who answers."""
+
+    @api.post("/find", summary="A station looks for plates or situations that central knows")
+    def find(call: Annotated[Call, Depends(door.opens("find", None, QUESTION_BYTES_MAX))]) -> Response:
+        return Response(answers.find(call.caller, call.body), media_type="application/json")
+
+    @api.post("/query", summary="A station asks central in SQL")
+    def query(call: Annotated[Call, Depends(door.opens("query", None, QUESTION_BYTES_MAX))]) -> Response:
+        return Response(answers.query(call.caller, call.body), media_type="application/json")
 
 
 def _version_1(log: Log, grants: Grantor, most: Limits, now: Callable[[], datetime], note: Note) -> APIRouter:
