@@ -17,6 +17,7 @@ from store.writing import Appended
 from sync.errors import ProtocolMismatch, Refusal, WireError
 from sync.held import held_of, runs_of
 from sync.runs import StreamKey
+from sync.unpacking import check_unpacked
 from sync.wire import (
     PROTOCOLS,
     Cursor,
@@ -173,6 +174,7 @@ def check(log: Log, station: Station, records: Sequence[Record], *, may_lack_pay
     Raises:
         Refusal: One is not.
     """
+    check_unpacked(record.segment for record in records)
     for record in records:
         segment = record.segment
         header = segment.header

@@ -196,6 +196,7 @@ def _version_2(
         return await read_body(request, small)
 
     async def attempted(request: Request) -> str | None:
+        claim(request, request.headers.get(STATION_HEADER))
         address = request.client.host if request.client is not None else None
         attempts.check(address)
         return address

@@ -123,7 +123,10 @@ def test_what_is_missing_or_wrong_is_told_before_anything_is_sent(
 @pytest.mark.parametrize(
     "options, code, said",
     [
-        (["--role", "central"], 2, "a central server needs to know its stations. Next: vian station add NAME"),
+        (["--role", "central", "--tls-certificate", "gone.pem"], 2, "the certificate gone.pem with the key gone.pem"),
+        (["--role", "central", "--tls-key", "gone.pem"], 2, "a key without its certificate. Next: give --tls-cert"),
+        (["--role", "central", "--tls", "generate", "--tls-certificate", "x"], 2, "two certificates: give either"),
+        (["--role", "central", "--tls", "yes"], 2, "setting tls: Input should be 'off' or 'generate', got 'yes'"),
         (["--role", "central", "--stations-file", "gone.toml"], 2, "the stations file gone.toml cannot be read"),
         (["--role", "station", "--central", "http://x"], 2, "sync needs this station's token. Next: give --token-file"),
         (["--role", "station", "--rules", "gone"], 2, "there is no gone to read rules from. Next: mkdir gone"),
