@@ -18,6 +18,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 
+from duckdb import DuckDBPyConnection
+
 from events import Draft, EventBatch, EventError, EventType, Position, Producer, Segment, Station, StreamName, decode
 from events.segment import draft_of, encode_payload
 from store import Checkpoint, Log, StreamHead
@@ -85,7 +87,7 @@ class Deriver:
     def __init__(self, log: Log, station: Station) -> None:
         self._log = log
         self._station = station
-        self._runs = database()
+        self._runs: DuckDBPyConnection | None = None
         self._head = _UNKNOWN
         self._planned: Planned | None = None
         self._derivations: dict[StreamName, Derivation] = {}
@@ -97,7 +99,7 @@ class Deriver:
         self._errors: dict[StreamName, str] = {}
         self._is_turn_of_live = False
 
-    def step(self, now: datetime) -> bool:
+    def step(self) -> bool:
         """Derive from one page of the log; whether more is waiting.
 
         Raises:
@@ -122,9 +124,20 @@ class Deriver:
             for name, each in sorted(self._derivations.items())
         ]
 
+    def check(self) -> None:
+        """Nothing, if no derived stream is stopped.
+
+        Raises:
+            FilterFailed: Some are; it says which and why.
+        """
+        if stopped := [error for name, error in sorted(self._errors.items()) if name in self._derivations]:
+            more = f" (and {len(stopped) - 1} more)" if len(stopped) > 1 else ""
+            raise FilterFailed(stopped[0] + more)
+
     def close(self) -> None:
         """Let go of what runs the conditions."""
-        self._runs.close()
+        if self._runs is not None:
+            self._runs.close()
 
     def _look(self, head: int) -> None:
         """Take up the plan, the streams, and the checkpoints as they are now."""
@@ -170,6 +183,7 @@ class Deriver:
     def _sieve(self, entry: Entry, event_type: type[EventType]) -> Sieve:
         key = (entry.filter_digest, event_type.type_name)
         if key not in self._sieves:
+            self._runs = self._runs or database()  # most stations filter nothing, and need none
             self._sieves[key] = Sieve(entry, event_type, self._runs)
         return self._sieves[key]
 
@@ -270,6 +284,27 @@ class Deriver:
             for batch in share.batches:
                 # Without the door: what it did not ask for yet when the event came in is no reason to lose it here.
                 yield draft_of(name, batch, producer, encode_payload(batch))
+
+
+class DerivingChore:
+    """A deriver as further work of a daemon, in whose status it tells what is stopped."""
+
+    def __init__(self, deriver: Deriver) -> None:
+        self._deriver = deriver
+
+    def step(self, now: datetime) -> bool:
+        """Derive from one page of the log; whether more is waiting.
+
+        Raises:
+            FilterFailed: Nothing is waiting, but for streams that are stopped.
+            PlanError: The log's plan does not read here.
+            LogUnavailable: The database is away; nothing is lost, step again later.
+        """
+        del now  # what is derived depends on the log alone
+        if self._deriver.step():
+            return True
+        self._deriver.check()
+        return False
 
 
 def _checkpoint(stream: StreamName) -> str:
