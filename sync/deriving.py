@@ -28,7 +28,7 @@ from sync.entries import Entry, base_of, derived_name
 from sync.errors import FilterFailed, PlanError
 from sync.filtering import Sieve, database, joined
 from sync.plan import Plan
-from sync.planning import Planned, planned_in
+from sync.planning import Planned, plan_stream, planned_in
 
 CHECKPOINT = DERIVE
 """Begins the name of a derived stream's checkpoint."""
@@ -90,6 +90,10 @@ class Deriver:
         self._runs: DuckDBPyConnection | None = None
         self._head = _UNKNOWN
         self._planned: Planned | None = None
+        self._plan_place: tuple[int, int] | None = None
+        """Epoch and sequence of the event that names the plan."""
+        self._looked_at: set[StreamName] = set()
+        """Streams of which it is known what the plan derives from them."""
         self._derivations: dict[StreamName, Derivation] = {}
         self._sieves: dict[tuple[bytes, str], Sieve] = {}
         self._saved: dict[StreamName, int] = {}
@@ -106,10 +110,9 @@ class Deriver:
             PlanError: The log's plan does not read here.
             LogUnavailable: The database is away; nothing is lost, step again later.
         """
-        head = self._log.head()
         try:
-            if head != self._head:
-                self._look(head)
+            if self._log.head() != self._head:
+                self._look()
             if group := self._next_group():
                 self._derive(*group)
         except BaseException:
@@ -139,23 +142,30 @@ class Deriver:
         if self._runs is not None:
             self._runs.close()
 
-    def _look(self, head: int) -> None:
+    def _look(self) -> None:
         """Take up the plan, the streams, and the checkpoints as they are now."""
-        planned = planned_in(self._log, self._station)
-        if planned != self._planned:
-            self._planned = planned
-            self._errors.clear()
-            self._sieves.clear()
-            self._positions.clear()
-        self._derivations = {}
-        if planned is not None:
-            for stream in _bases(self._log.streams(), self._station):
-                self._note(stream, planned.plan)
+        head, heads = self._log.heads()
+        self._heed_plan(heads)
+        if self._planned is not None:
+            for base in _bases(heads, self._station) - self._looked_at:
+                self._note(base, self._planned.plan)
+                self._looked_at.add(base)
         if self._derivations.keys() - self._positions.keys():
             saved = self._log.checkpoints()
             self._saved = {name: saved.get(_checkpoint(name), _BEGIN).position for name in self._derivations}
             self._positions = {name: max(at, self._positions.get(name, 0)) for name, at in self._saved.items()}
         self._head = head
+
+    def _heed_plan(self, heads: Sequence[StreamHead]) -> None:
+        """Begin anew with the plan that the log names, if it is another."""
+        stream = plan_stream(self._station)
+        place = max(((each.epoch, each.sequence) for each in heads if each.stream == stream), default=None)
+        if place == self._plan_place:
+            return
+        self._planned = planned_in(self._log, self._station)
+        self._plan_place = place
+        for kept in (self._derivations, self._looked_at, self._errors, self._sieves, self._positions):
+            kept.clear()
 
     def _doubt(self) -> None:
         """Read the checkpoints again before the next step."""
@@ -311,10 +321,10 @@ def _checkpoint(stream: StreamName) -> str:
     return f"{CHECKPOINT}{stream}"
 
 
-def _bases(heads: Sequence[StreamHead], station: Station) -> list[StreamName]:
+def _bases(heads: Sequence[StreamHead], station: Station) -> set[StreamName]:
     """The station's streams that are not derived, each once whatever its epochs."""
     found = {head.stream for head in heads if head.stream.station == station and head.sequence}
-    return sorted(stream for stream in found if base_of(stream) is None)
+    return {stream for stream in found if base_of(stream) is None}
 
 
 def _bounded(segments: list[Segment], reached: int) -> tuple[list[Segment], int]:
