@@ -111,8 +111,7 @@ class Settings(BaseSettings):
     database_wait_s: Annotated[float, Field(ge=0)] = 60.0
     """how long an append waits for a database that is away, in seconds"""
     disk_free_mb_min: Annotated[int, Field(ge=0)] = 256
-    """what must stay free on an embedded log's disk, in MiB: below, what the plan gives up goes, or recording stops;
-    0: never"""
+    """what must stay free on an embedded log's disk, in MiB: else what the plan gives up goes, or recording stops"""
     prune_after_days: Annotated[float, Field(ge=0)] | None = None
     """age in days at which payloads that central countersigned leave this station's disk; never by default"""
     question_s: Annotated[float, Field(gt=0, le=45)] = 10.0
@@ -140,6 +139,9 @@ class Settings(BaseSettings):
     """a day of rows gets its index for tracks and cameras so long after its end and its newest row, in hours"""
     rows_upkeep_s: Annotated[float, Field(ge=1, le=86400)] = 300.0
     """`vian serve` sees to the row tables (retention, partitions, closed days) this often, in seconds"""
+
+    rows_wait_s: Annotated[float, Field(ge=0, le=3600)] = 10.0
+    """`vian serve` lets rows wait so long while it stores what stations send as fast as they can, in seconds; 0: not"""
 
     @classmethod
     def settings_customise_sources(
