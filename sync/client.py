@@ -34,6 +34,7 @@ from sync.wire import (
     Hello,
     HelloAnswer,
     M,
+    Message,
     Record,
     SegmentsAnswer,
     StreamState,
@@ -168,6 +169,14 @@ class Central:
             CentralError: There is none.
         """
         return self._parsed(Countersigned, "countersign", request.encoded(), JSON, ANSWER_BYTES_MAX)
+
+    def ask(self, endpoint: str, question: Message, answer_type: type[M]) -> M:
+        """Central's answer to a question, within the session that a hello began.
+
+        Raises:
+            CentralError: There is none.
+        """
+        return self._parsed(answer_type, endpoint, question.encoded(), JSON, ANSWER_BYTES_MAX)
 
     def _challenge(self, station: Station) -> Challenge:
         said = ChallengeRequest(station=station).encoded()
