@@ -26,7 +26,7 @@ from sync.enrolment import ENROL_BYTES_MAX, Attempts, Enrolled, parse_message
 from sync.errors import Refusal
 from sync.grants import Grantor, Grants
 from sync.problems import RESPONSES, Note, claim, cursors_2, problem_route
-from sync.repair import RANGE_BYTES_MAX, RepairAnswer, records_for, repair_with
+from sync.repair import RANGE_BYTES_MAX, records_for, repair_with
 from sync.signing import STATION_HEADER
 from sync.wire import (
     BODY_BYTES_MAX,
@@ -37,6 +37,7 @@ from sync.wire import (
     Challenge,
     ChallengeRequest,
     Range,
+    RepairAnswer,
 )
 from sync.wire import HelloAnswer as HelloAnswer2
 from sync.wire import SegmentsAnswer as SegmentsAnswer2

@@ -14,7 +14,7 @@ from sync.errors import BadAnswer, CentralFailed, ProtocolMismatch, WireError
 from sync.exchange import DEADLINE_S, UPGRADE, Exchange
 from sync.grants import checked_token
 from sync.runs import StreamKey
-from sync.wire import RECORD_TYPE, Countersigned, CountersignRequest, Cursor, Record, parse, program
+from sync.wire import RECORD_TYPE, Countersigned, CountersignRequest, Cursor, Record, RepairAnswer, parse, program
 from sync.wire import HelloAnswer as HelloAnswer2
 from sync.wire import SegmentsAnswer as SegmentsAnswer2
 from sync.wire_v1 import (
@@ -111,6 +111,14 @@ class CentralV1:
             CentralFailed: Always.
         """
         raise CentralFailed(f"central at {self.address} countersigns nothing in protocol {PROTOCOL}. {UPGRADE}")
+
+    def repair(self, body: bytes) -> RepairAnswer:
+        """Not in this version.
+
+        Raises:
+            CentralFailed: Always.
+        """
+        raise CentralFailed(f"central at {self.address} wants nothing back in protocol {PROTOCOL}. {UPGRADE}")
 
     def _post(self, endpoint: str, body: bytes, headers: dict[str, str]) -> bytes:
         return self._exchange.post(endpoint, body, self._authorization | headers, ANSWER_BYTES_MAX)

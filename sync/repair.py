@@ -13,16 +13,13 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from hashlib import sha256
-from typing import Annotated
-
-from pydantic import Field
 
 from events import Draft, Producer, Segment, SegmentsRepaired, Station, StreamName, batch_of, encode
 from store import BadRequest, ChainBroken, Log, SealedFileDamaged, verify
 from store.payloads import next_position, place_at, put_back, repair
 from store.walk import pages
 from sync.errors import Refusal, SyncError, WireError
-from sync.wire import Message, Range, Record, decode_records, encode_records, record_size
+from sync.wire import Range, Record, decode_records, encode_records, record_size
 
 PRODUCER = Producer("repairer", "1", sha256(b"{}").digest())
 NEIGHBOURS_MAX = 100
@@ -323,13 +320,6 @@ class Wanted:
             left = [each for each in kept if each.position not in mended]
             transaction.save_checkpoint(self._NAME, self._log.head(), _state(left))
         return sum(each.segments for each in done)
-
-
-class RepairAnswer(Message):
-    """What central put back of what a station sent again."""
-
-    repaired: Annotated[int, Field(ge=0)]
-    """segments"""
 
 
 def repair_with(
