@@ -23,10 +23,10 @@ from events import Producer, Segment, Station, StreamName, TrackPoint, batch_of,
 from store import Log, StationKey
 from sync import Daemon, Grants, Limits, Pace, Plan, WireError, router, token_hash
 from sync.apply import answer_hello_2, apply_2
-from sync.central import _ProblemRoute
 from sync.client import Central
 from sync.client_v1 import CentralV1
 from sync.countersigning import countersign
+from sync.problems import cursors_2, problem_route
 from sync.turns import Turns
 from sync.wire import Challenge, Countersigned, HelloAnswer, SegmentsAnswer, decode_records
 
@@ -229,7 +229,7 @@ CENTRAL_KEY = StationKey(Ed25519PrivateKey.generate())
 
 def unsigned(log: Log, limits: Limits) -> APIRouter:
     """Protocol 2 without signatures: who speaks is believed."""
-    api = APIRouter(prefix="/sync/v2", route_class=_ProblemRoute)
+    api = APIRouter(prefix="/sync/v2", route_class=problem_route(lambda kind, got: None, cursors_2))
     most = {"body_bytes_max": limits.body_bytes_max, "segments_max": limits.segments_max}
     turns = Turns()
 
