@@ -134,19 +134,24 @@ class Repairer:
         except (BadRequest, SyncError) as error:
             return Repaired(damage, 0, str(error))
 
-    def repair_all(self) -> Iterator[Repaired]:
+    def repair_all(self, *, only: Station | None = None) -> Iterator[Repaired]:
         """Put back damaged payloads, then whatever a verification still finds, until it finds nothing new.
+
+        Args:
+            only: Only streams of this station.
 
         Raises:
             LogUnavailable: The database is away, or the account may not.
         """
         for damage in list(damaged_payloads(self._log)):
-            yield self.repair(damage)
+            if only in (None, damage.stream.station):
+                yield self.repair(damage)
         tried: set[int] = set()
         while new := [each for each in self._broken() if each.position not in tried]:
             for damage in new:
                 tried.add(damage.position)
-                yield self.repair(damage)
+                if only in (None, damage.stream.station):
+                    yield self.repair(damage)
 
     def _broken(self) -> list[Damage]:
         return list(damaged_headers(self._log, verify(self._log).broken))
