@@ -16,6 +16,7 @@ from store import ChainBroken, Log, SequenceConflict, Transaction
 from store.writing import Appended
 from sync.errors import ProtocolMismatch, Refusal, WireError
 from sync.held import held_of, runs_of
+from sync.repair import Wanted
 from sync.runs import StreamKey
 from sync.unpacking import check_unpacked
 from sync.wire import (
@@ -88,6 +89,7 @@ def answer_hello_2(
         body_bytes_max=body_bytes_max,
         segments_max=segments_max,
         bits_per_s_max=bits_per_s_max,
+        wanted=tuple(damage.wanted() for damage in Wanted(log).of(caller.station)),
     )
 
 

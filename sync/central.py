@@ -29,7 +29,7 @@ from sync.errors import Refusal
 from sync.grants import Grantor, Grants
 from sync.problems import RESPONSES, Note, claim, cursors_2, problem_route
 from sync.questions import QUESTION_BYTES_MAX
-from sync.repair import RANGE_BYTES_MAX, RepairAnswer, records_for, repair_with
+from sync.repair import RANGE_BYTES_MAX, records_for, repair_with
 from sync.signing import STATION_HEADER
 from sync.turns import NAME_LENGTH_MAX, Turns
 from sync.wire import (
@@ -44,6 +44,7 @@ from sync.wire import (
     ChallengeRequest,
     Countersigned,
     Range,
+    RepairAnswer,
 )
 from sync.wire import HelloAnswer as HelloAnswer2
 from sync.wire import SegmentsAnswer as SegmentsAnswer2

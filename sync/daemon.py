@@ -12,6 +12,7 @@ on.
 
 import threading
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
 from itertools import pairwise
@@ -24,18 +25,19 @@ from sync.chores import Chores
 from sync.client import Greeting, Link
 from sync.contact import Contact
 from sync.countersigning import Countersigning
-from sync.errors import BadAnswer, CentralError, PlanError, Refused, SegmentRefused, StreamStopped
+from sync.errors import BadAnswer, CentralError, PlanError, Refusal, Refused, SegmentRefused, StreamStopped
 from sync.flights import Flights, Landed
 from sync.outbox import Capacity, Outbox
 from sync.pacing import Caps, Meter, Sizer
 from sync.plan import Entry, Plan
 from sync.planning import plan_stream, planned_in, set_plan
+from sync.repair import records_for
 from sync.reporting import Reporter
 from sync.reports import Chore, Pace, State, Status, Step, StreamStatus
 from sync.runs import Runs, StreamKey, are_held, end_of
 from sync.scheduling import Share, Work, chosen
 from sync.standing import Standing
-from sync.wire import Cursor, HelloAnswer, RunState
+from sync.wire import Cursor, HelloAnswer, Range, RunState
 
 _LANDING_S = 0.05
 """Longest wait for a request to be answered before the log is looked at again."""
@@ -96,6 +98,8 @@ class Daemon:
         self._share = Share()
         self._caps = Caps()
         self._terms = _Terms()
+        self._wanted: list[Range] = []
+        """what central wants back, of the last hello"""
         self._sent: dict[StreamKey, _Sent] = {}
         self._doubts: dict[StreamKey, str] = {}
         self._state: State = "starting"
@@ -290,6 +294,7 @@ class Daemon:
         self._outbox.forget()
         self._terms = _Terms.of(answer, self._monotonic(), {StreamKey(head.stream, head.epoch) for head in heads})
         self._caps.heed(answer.bits_per_s_max)
+        self._wanted = list(answer.wanted)
         self._contact.greeted(asked, answer.time)
         return Step("hello")
 
@@ -302,7 +307,7 @@ class Daemon:
         chosen_now = chosen(ready, self._share, self._plan.backlog_share) if self._flights.has_slot else []
         if chosen_now and chosen_now[0].is_live:
             return self._launch(chosen_now, at)
-        if (step := self._countersign()) is not None:
+        if (step := self._countersign() or self._repair()) is not None:
             return step
         self._is_chores_turn = not self._is_chores_turn or not chosen_now
         if self._is_chores_turn and self._chores.step(self._now()):
@@ -334,6 +339,20 @@ class Daemon:
         self._countersigning.take(answer)
         self._contact.answered()
         return Step("countersigned")
+
+    def _repair(self) -> Step | None:
+        """Send again the next range that central wants back."""
+        if not self._wanted or len(self._flights):
+            return None
+        wanted = self._wanted.pop(0)
+        with suppress(Refusal, Refused):  # what is not here, or is another's, central lacks as before
+            terms = self._terms
+            body = records_for(
+                self._log, self._station, wanted, bytes_max=terms.body_bytes_max, segments_max=terms.segments_max
+            )
+            self._central.repair(body)
+            self._contact.answered()
+        return Step("repaired")
 
     def _launch(self, works: Sequence[Work], at: float) -> Step:
         """Send the first segments of these works."""
