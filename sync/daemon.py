@@ -35,11 +35,11 @@ from sync.repair import records_for
 from sync.reporting import Reporter
 from sync.reports import Chore, Pace, State, Status, Step, StreamStatus
 from sync.runs import Runs, StreamKey, are_held, end_of
-from sync.scheduling import Share, Work, chosen
+from sync.scheduling import Share, Work, chosen, in_order
 from sync.standing import Standing
 from sync.wire import Cursor, HelloAnswer, Range, RunState
 
-_LANDING_S = 0.05
+_LANDING_S = 0.02
 """Longest wait for a request to be answered before the log is looked at again."""
 
 
@@ -304,7 +304,7 @@ class Daemon:
         at = self._monotonic()
         waits = {id(work): self._caps.wait_s(work.entry, at, is_live=work.is_live) for work in works}
         ready = [work for work in works if not waits[id(work)]]
-        chosen_now = chosen(ready, self._share, self._plan.backlog_share) if self._flights.has_slot else []
+        chosen_now = self._chosen(ready)
         if chosen_now and chosen_now[0].is_live:
             return self._launch(chosen_now, at)
         if (step := self._countersign() or self._repair()) is not None:
@@ -318,6 +318,14 @@ class Daemon:
             self._wait_for_landing()
             return Step("sending")
         return self._rest("caught_up" if not works else "sending", min(waits.values(), default=None))
+
+    def _chosen(self, ready: Sequence[Work]) -> Sequence[Work]:
+        """What is launched now; what is live does not wait for backlog that is under way."""
+        if not self._flights.has_slot:
+            return in_order(work for work in ready if work.is_live) if self._flights.has_live_slot else []
+        works = chosen(ready, self._share, self._plan.backlog_share)
+        is_early = bool(works) and not works[0].is_live and not self._flights.is_apart(self._sizer.took_s)
+        return [] if is_early else works
 
     def _rest(self, state: State, wait_s: float | None = None) -> Step:
         self._contact.went_well()
