@@ -109,7 +109,8 @@ class Daemon:
         self._log_head = -1
         self._plan_place: tuple[int, int] | None = None
         self._is_plan_seen = False
-        self._standing.follow(plan.resolved(now()))
+        if all(entry.begin != "now" or entry.now is not None for entry in plan.entries):
+            self._standing.follow(plan)
 
     def step(self) -> Step:
         """Do one bounded thing, and say what it was."""
@@ -230,8 +231,10 @@ class Daemon:
 
     def _set_plan(self) -> Step:
         """Have the log name the plan, unless it does, and follow what it names."""
+        planned = planned_in(self._log, self._station)
         try:
-            planned = set_plan(self._log, self._station, self._plan, self._central.address, self._now())
+            if planned is None or (planned.plan, planned.central) != (self._plan, self._central.address):
+                planned = set_plan(self._log, self._station, self._plan, self._central.address, self._now())
         except SequenceConflict:
             return Step("planned")  # Others were faster: look again.
         self._is_set = True
@@ -304,16 +307,16 @@ class Daemon:
         at = self._monotonic()
         waits = {id(work): self._caps.wait_s(work.entry, at, is_live=work.is_live) for work in works}
         ready = [work for work in works if not waits[id(work)]]
-        chosen_now = self._chosen(ready)
-        if chosen_now and chosen_now[0].is_live:
-            return self._launch(chosen_now, at)
+        first = self._chosen(ready)
+        if first and first[0].is_live:
+            return self._launch(first, at)
         if (step := self._countersign() or self._repair()) is not None:
             return step
-        self._is_chores_turn = not self._is_chores_turn or not chosen_now
+        self._is_chores_turn = not self._is_chores_turn or not first
         if self._is_chores_turn and self._chores.step(self._now()):
             return Step("chore")
-        if chosen_now:
-            return self._launch(chosen_now, at)
+        if first:
+            return self._launch(first, at)
         if len(self._flights):
             self._wait_for_landing()
             return Step("sending")
@@ -323,7 +326,7 @@ class Daemon:
         """What is launched now; what is live does not wait for backlog that is under way."""
         if not self._flights.has_slot:
             return in_order(work for work in ready if work.is_live) if self._flights.has_live_slot else []
-        works = chosen(ready, self._share, self._plan.backlog_share)
+        works = chosen(ready, self._share, self._plan.backlog_share, self._sizer.size)
         is_early = bool(works) and not works[0].is_live and not self._flights.is_apart(self._sizer.took_s)
         return [] if is_early else works
 

@@ -100,6 +100,7 @@ class Faults(httpx.BaseTransport):
         self.next: str | None = None
         self.where = 0.5
         self.exchanges: list[str] = []
+        self.bodies: list[bytes] = []
         self.injected = 0
 
     def close(self) -> None:
@@ -119,6 +120,7 @@ class Faults(httpx.BaseTransport):
         self.injected += fault is not None
         body = request.read()
         self.exchanges.append(request.url.path.rsplit("/", 1)[-1])
+        self.bodies.append(body)
         at = int(self.where * (len(body) - 1))
         if fault == "cut before sending":
             raise httpx.ConnectError("connection refused", request=request)
@@ -291,6 +293,9 @@ def make_daemon(station_log: Log, faults: Faults, request: pytest.FixtureRequest
         token: str = TOKEN,
         pace: Pace | None = None,
         protocol: int = 2,
+        seed: int = 1,
+        now: Callable[[], datetime] = lambda: NOON,
+        **more: Any,
     ) -> Daemon:
         base_url = address or request.getfixturevalue("central")
         clients.append(httpx.Client(base_url=base_url, transport=faults))
@@ -299,9 +304,10 @@ def make_daemon(station_log: Log, faults: Faults, request: pytest.FixtureRequest
             station,
             plan,
             CentralV1(clients[-1], token) if protocol == 1 else signed_link(clients[-1], station),
-            now=lambda: NOON,
-            random=random.Random(1).random,
+            now=now,
+            random=random.Random(seed).random,
             pace=pace or Pace(backoff_s=0.001, backoff_s_max=0.01),
+            **more,
         )
 
     yield make
