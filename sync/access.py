@@ -108,7 +108,7 @@ class Access:
         token = self._sessions.begin(station, proof.values[CHALLENGE_HEADER])
         return Asked(_caller(station, 0), proof.values["content-digest"], token)
 
-    def asked(self, headers: Mapping[str, str], endpoint: str, operation: str) -> Asked:
+    def asked(self, headers: Mapping[str, str], endpoint: str, operation: str | None) -> Asked:
         """Who sends a request within a session.
 
         Raises:
@@ -118,7 +118,7 @@ class Access:
         station, proof = self._signed(headers, endpoint)
         token = proof.values["authorization"].removeprefix("Bearer ")
         number = self._sessions.admit(station, token, proof.values[NUMBER_HEADER])
-        if operation not in station.operations:
+        if operation is not None and operation not in station.operations:
             raise _not_granted(station, operation)
         return Asked(_caller(station, number), proof.values["content-digest"])
 

@@ -9,12 +9,13 @@ the release before, which have a token of the stations file (`sync.grants`).
 """
 
 from collections.abc import Callable, Coroutine
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from time import monotonic
-from typing import Annotated, Any
+from typing import Annotated, Any, Protocol
 
-from fastapi import APIRouter, Depends, Header, Request
+from fastapi import APIRouter, Depends, Header, Request, Response
 
 from events import Station
 from store import Log
@@ -27,23 +28,31 @@ from sync.enrolment import ENROL_BYTES_MAX, Attempts, Enrolled, parse_message
 from sync.errors import Refusal
 from sync.grants import Grantor, Grants
 from sync.problems import RESPONSES, Note, claim, cursors_2, problem_route
+from sync.questions import QUESTION_BYTES_MAX
+from sync.repair import RANGE_BYTES_MAX, RepairAnswer, records_for, repair_with
 from sync.signing import STATION_HEADER
 from sync.turns import NAME_LENGTH_MAX, Turns
 from sync.wire import (
     BODY_BYTES_MAX,
+    CHALLENGE_BYTES_MAX,
     FOLLOWS_HEADER,
     HELLO_BYTES_MAX,
     ORDER_HEADER,
     PATH,
+    RECORD_TYPE,
     SEGMENTS_MAX,
     Challenge,
     ChallengeRequest,
     Countersigned,
+    Range,
 )
 from sync.wire import HelloAnswer as HelloAnswer2
 from sync.wire import SegmentsAnswer as SegmentsAnswer2
 from sync.wire_v1 import PATH as PATH_1
 from sync.wire_v1 import HelloAnswer, SegmentsAnswer
+
+Storing = Callable[[], AbstractContextManager[None]]
+"""Makes what is entered while segments are stored."""
 
 __all__ = ["Call", "Door", "Grants", "Limits", "router"]
 
@@ -75,6 +84,16 @@ class Call:
     asked: Asked
 
 
+class Answers(Protocol):
+    """Answers questions of stations, as JSON. Each checks what is granted, and raises Refusal or LogUnavailable."""
+
+    def find(self, caller: Caller, body: bytes) -> bytes:
+        """What is found of plates or situations."""
+
+    def query(self, caller: Caller, body: bytes) -> bytes:
+        """What SQL gives."""
+
+
 def router(
     log: Log,
     grants: Grantor | None,
@@ -82,7 +101,9 @@ def router(
     now: Callable[[], datetime] = lambda: datetime.now(UTC),
     *,
     access: Access | None = None,
+    answers: Answers | None = None,
     note: Note = lambda kind, got: None,
+    while_storing: Storing = nullcontext,
 ) -> APIRouter:
     """The endpoints of sync over a log: `/sync/v1/...` with grants, `/sync/v2/...` with access.
 
@@ -92,14 +113,17 @@ def router(
         limits: What a request may cost.
         now: Central's clock, which a hello's answer tells.
         access: Who may speak in protocol version 2.
+        answers: Answers the questions of stations, in version 2.
         note: Told of each refusal, such as `Refusals.note`.
+        while_storing: Entered while segments of a request are checked and stored.
     """
     most = limits or Limits()
     api = APIRouter()
     if grants is not None:
-        api.include_router(_version_1(log, grants, most, now, note))
+        api.include_router(_version_1(log, grants, most, now, note, while_storing))
     if access is not None:
-        api.include_router(_version_2(log, Door(access, most), most, now, note))
+        api.include_router(_version_2(log, Door(access, most), most, now, note, answers, while_storing))
+        api.include_router(_repairs(log, Door(access, most), most, now, note))
     return api
 
 
@@ -125,12 +149,12 @@ class Door:
 
         return self._call(asked, self._limits.hello_bytes_max)
 
-    def opens(self, endpoint: str, operation: str, bytes_max: int) -> Opened:
+    def opens(self, endpoint: str, operation: str | None, bytes_max: int) -> Opened:
         """A dependency: the station that asks `endpoint`, which the operation must be granted to.
 
         Args:
             endpoint: What stands behind the version in the path; it is signed.
-            operation: One of `sync.access.OPERATIONS`.
+            operation: One of `sync.access.OPERATIONS`; None where the endpoint looks at grants itself.
             bytes_max: Most bytes of the body.
         """
 
@@ -154,7 +178,15 @@ class Door:
         return call
 
 
-def _version_2(log: Log, door: Door, most: Limits, now: Callable[[], datetime], note: Note) -> APIRouter:
+def _version_2(
+    log: Log,
+    door: Door,
+    most: Limits,
+    now: Callable[[], datetime],
+    note: Note,
+    answers: Answers | None,
+    while_storing: Storing,
+) -> APIRouter:
     api = APIRouter(prefix=PATH, tags=["sync"], route_class=problem_route(note, cursors_2), responses=RESPONSES)
     attempts = Attempts(monotonic)
     turns = Turns()
@@ -202,7 +234,7 @@ def _version_2(log: Log, door: Door, most: Limits, now: Callable[[], datetime], 
         order: Annotated[str, Header(alias=ORDER_HEADER, max_length=NAME_LENGTH_MAX)] = "",
         follows: Annotated[str, Header(alias=FOLLOWS_HEADER, max_length=NAME_LENGTH_MAX)] = "",
     ) -> SegmentsAnswer2:
-        with turns.named(call.caller.station, order):
+        with turns.named(call.caller.station, order), while_storing():
             return apply_2(
                 log,
                 call.caller,
@@ -215,14 +247,53 @@ def _version_2(log: Log, door: Door, most: Limits, now: Callable[[], datetime], 
 
     @api.post("/countersign", summary="Central signs that it holds what a station's checkpoint says")
     def countersigned(
-        call: Annotated[Call, Depends(door.opens("countersign", REPLICATE, most.hello_bytes_max))],
+        call: Annotated[Call, Depends(door.opens("countersign", REPLICATE, CHALLENGE_BYTES_MAX))],
     ) -> Countersigned:
         return countersign(log, call.caller.station, call.body, door.access.key, now())
+
+    if answers is not None:
+        _add_questions(api, door, answers)
+    return api
+
+
+def _repairs(log: Log, door: Door, most: Limits, now: Callable[[], datetime], note: Note) -> APIRouter:
+    api = APIRouter(prefix=PATH, tags=["sync"], route_class=problem_route(note, cursors_2), responses=RESPONSES)
+
+    @api.post("/segments/read", summary="A station reads back segments that it sent", response_class=Response)
+    def read(call: Annotated[Call, Depends(door.opens("segments/read", REPLICATE, RANGE_BYTES_MAX))]) -> Response:
+        wanted = parse_message(Range, call.body)
+        body = records_for(
+            log, call.caller.station, wanted, bytes_max=most.body_bytes_max, segments_max=most.segments_max
+        )
+        return Response(body, media_type=RECORD_TYPE)
+
+    @api.post("/segments/repair", summary="A station sends again what central wants back")
+    def repair(
+        call: Annotated[Call, Depends(door.opens("segments/repair", REPLICATE, most.body_bytes_max))],
+    ) -> RepairAnswer:
+        repaired = repair_with(
+            log, door.access.registry.central, call.caller.station, call.body, segments_max=most.segments_max, now=now
+        )
+        return RepairAnswer(repaired=repaired)
 
     return api
 
 
-def _version_1(log: Log, grants: Grantor, most: Limits, now: Callable[[], datetime], note: Note) -> APIRouter:
+def _add_questions(api: APIRouter, door: Door, answers: Answers) -> None:
+    """The endpoints for questions; whether they are granted is seen, and recorded, by who answers."""
+
+    @api.post("/find", summary="A station looks for plates or situations that central knows")
+    def find(call: Annotated[Call, Depends(door.opens("find", None, QUESTION_BYTES_MAX))]) -> Response:
+        return Response(answers.find(call.caller, call.body), media_type="application/json")
+
+    @api.post("/query", summary="A station asks central in SQL")
+    def query(call: Annotated[Call, Depends(door.opens("query", None, QUESTION_BYTES_MAX))]) -> Response:
+        return Response(answers.query(call.caller, call.body), media_type="application/json")
+
+
+def _version_1(
+    log: Log, grants: Grantor, most: Limits, now: Callable[[], datetime], note: Note, while_storing: Storing
+) -> APIRouter:
     api = APIRouter(prefix=PATH_1, tags=["sync"], route_class=problem_route(note, _cursors_1), responses=RESPONSES)
 
     async def granted(request: Request) -> Station:
@@ -248,7 +319,8 @@ def _version_1(log: Log, grants: Grantor, most: Limits, now: Callable[[], dateti
     def segments(
         station: Annotated[Station, Depends(granted)], body: Annotated[bytes, Depends(segments_body)]
     ) -> SegmentsAnswer:
-        return apply(log, station, body, body_bytes_max=most.body_bytes_max, segments_max=most.segments_max)
+        with while_storing():
+            return apply(log, station, body, body_bytes_max=most.body_bytes_max, segments_max=most.segments_max)
 
     return api
 

@@ -6,7 +6,7 @@ Contract: `create_app` builds it from what it is given; it holds no state of its
 import socket
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from typing import Any
 
 import uvicorn
@@ -14,7 +14,7 @@ from fastapi import FastAPI
 from fastapi.responses import JSONResponse
 
 from store import Log, LogUnavailable
-from sync.central import router
+from sync.central import Storing, router
 from sync.grants import Grantor
 from vian.errors import WorldFailed
 from vian.version import VERSION
@@ -22,8 +22,8 @@ from vian.version import VERSION
 _START_SECONDS_MAX = 15.0
 
 
-def create_app(log: Log, grants: Grantor | None) -> FastAPI:
-    """The application over a log; with grants it takes stations' segments."""
+def create_app(log: Log, grants: Grantor | None, while_storing: Storing = nullcontext) -> FastAPI:
+    """The application over a log; with grants it takes stations' segments, and enters what is given meanwhile."""
     # The pages of documentation that FastAPI would serve need a CDN; the schema itself is served.
     app = FastAPI(title="ViAn", version=VERSION, docs_url=None, redoc_url=None)
 
@@ -41,7 +41,7 @@ def create_app(log: Log, grants: Grantor | None) -> FastAPI:
             return JSONResponse({"status": "the database is away", "version": VERSION}, status_code=503)
 
     if grants is not None:
-        app.include_router(router(log, grants))
+        app.include_router(router(log, grants, while_storing=while_storing))
     return app
 
 

@@ -9,9 +9,9 @@ import pytest
 from events import Catalogue
 from sync import LANES, Entry, Pace, Plan, wire, wire_v1
 from sync.checking import check_filters
-from sync.filters import DEPTH_MAX, FUNCTIONS
-from sync.plan import HASH_DIGITS, WHERE_CHARACTERS_MAX, GiveUp
+from sync.entries import HASH_DIGITS, WHERE_CHARACTERS_MAX, GiveUp
 from sync.preview import SAMPLE_SEGMENTS
+from sync.where import DEPTH_MAX, FUNCTIONS
 from sync.wire import (
     CURSORS_MAX,
     HEADER_BYTES_MAX,

@@ -22,6 +22,8 @@ from vian.errors import WrongUsage
 from vian.options import opened, settings_for
 from vian.output import Output
 from vian.parts import Part, Parts, stepping
+from vian.precedence import Precedence
+from vian.pruning import disk_part
 from vian.replication import plan_at_start, station_daemon, sync_part
 from vian.rows import upkeep_part
 from vian.rules import limits_of
@@ -81,9 +83,10 @@ def serve(
     with ExitStack() as stack:
         stack.callback(listening.close)
         log = stack.enter_context(opened(settings, data_dir=data_dir, is_made=True))
-        parts = stack.enter_context(Parts(_parts(stack, log, settings, role)))
+        precedence = Precedence(settings.rows_wait_s)
+        parts = stack.enter_context(Parts(_parts(stack, log, settings, role, precedence)))
         stopping = _stop_on_signals()
-        address = stack.enter_context(serving(create_app(log, grants), listening))
+        address = stack.enter_context(serving(create_app(log, grants, precedence.urgent), listening))
         Output(is_json=as_json).result(
             {"role": role, "address": address, "station": settings.station}, f"vian {role} at {address}"
         )
@@ -91,12 +94,14 @@ def serve(
             pass
 
 
-def _parts(stack: ExitStack, log: Log, settings: Settings, role: Role) -> list[Part]:
+def _parts(stack: ExitStack, log: Log, settings: Settings, role: Role, precedence: Precedence) -> list[Part]:
     projector = Projector(log)
     parts = [
-        stepping("projector", lambda: projector.step(STEP_SECONDS), log, projector.close),
+        stepping("projector", precedence.yielding(lambda: projector.step(STEP_SECONDS)), log, projector.close),
         upkeep_part(log, settings),
     ]
+    if role is Role.STATION:
+        parts.append(disk_part(log, settings))
     if has_key(settings):
         parts.append(signing_part(log, settings))
     if settings.rules is not None or role is Role.STATION:

@@ -13,6 +13,7 @@ from vian.errors import WrongUsage
 from vian.options import opened, settings_for
 from vian.output import Output
 from vian.parts import Parts
+from vian.pruning import disk_part
 from vian.replication import plan_at_start, station_daemon, sync_part
 from vian.stations import read_token
 
@@ -57,7 +58,7 @@ def sync(
             daemon.catch_up()
         else:
             output.note(f"station {settings.station} replicates to {settings.central}; Ctrl-C ends it")
-            with Parts([sync_part(daemon)]) as parts:
+            with Parts([sync_part(daemon), disk_part(log, settings)]) as parts:
                 while parts.wait(1.0):
                     pass
         report(output, daemon)
