@@ -16,7 +16,9 @@ from store import ChainBroken, Log, SequenceConflict, Transaction
 from store.writing import Appended
 from sync.errors import ProtocolMismatch, Refusal, WireError
 from sync.held import held_of, runs_of
+from sync.repair import Wanted
 from sync.runs import StreamKey
+from sync.unpacking import check_unpacked
 from sync.wire import (
     PROTOCOLS,
     Cursor,
@@ -87,6 +89,7 @@ def answer_hello_2(
         body_bytes_max=body_bytes_max,
         segments_max=segments_max,
         bits_per_s_max=bits_per_s_max,
+        wanted=tuple(damage.wanted() for damage in Wanted(log).of(caller.station)),
     )
 
 
@@ -173,6 +176,7 @@ def check(log: Log, station: Station, records: Sequence[Record], *, may_lack_pay
     Raises:
         Refusal: One is not.
     """
+    check_unpacked(record.segment for record in records)
     for record in records:
         segment = record.segment
         header = segment.header

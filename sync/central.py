@@ -29,7 +29,7 @@ from sync.errors import Refusal
 from sync.grants import Grantor, Grants
 from sync.problems import RESPONSES, Note, claim, cursors_2, problem_route
 from sync.questions import QUESTION_BYTES_MAX
-from sync.repair import RANGE_BYTES_MAX, RepairAnswer, records_for, repair_with
+from sync.repair import RANGE_BYTES_MAX, records_for, repair_with
 from sync.signing import STATION_HEADER
 from sync.turns import NAME_LENGTH_MAX, Turns
 from sync.wire import (
@@ -45,6 +45,7 @@ from sync.wire import (
     ChallengeRequest,
     Countersigned,
     Range,
+    RepairAnswer,
 )
 from sync.wire import HelloAnswer as HelloAnswer2
 from sync.wire import SegmentsAnswer as SegmentsAnswer2
@@ -197,6 +198,7 @@ def _version_2(
         return await read_body(request, small)
 
     async def attempted(request: Request) -> str | None:
+        claim(request, request.headers.get(STATION_HEADER))
         address = request.client.host if request.client is not None else None
         attempts.check(address)
         return address
