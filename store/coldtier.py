@@ -159,12 +159,15 @@ class ColdTier:
             place = self.place()
             path = place.full(file.path)
             if file.last_position <= digested:
-                if (strange := self._misplaced(file)) is not None:
+                strange = self._misplaced(file)
+                if strange is not None and self._in_its_place(file) is None:
                     yield damaged(path, file.first_position, file.last_position, strange)
                 continue
             try:
                 sha256, size = place.digest(file.path)
             except FileNotFoundError:
+                if self._in_its_place(file) is not None:
+                    continue  # written anew meanwhile, which compared it
                 yield damaged(path, file.first_position, file.last_position, "is not there")
                 continue
             if (sha256, size) != (file.sha256, file.bytes):
@@ -335,11 +338,21 @@ class ColdTier:
         try:
             source = place.open(file.path)
         except FileNotFoundError as error:
+            if (newer := self._in_its_place(file)) is not None:
+                return self._opened(newer, first)
             raise damaged(path, first, file.last_position, "is not there") from error
         try:
             return SealedReader(source, path, file.first_position, file.last_position)
         except SealedFileDamaged as broken:
             raise _from(first, broken) from broken
+
+    def _in_its_place(self, file: SealedFile) -> SealedFile | None:
+        """The file that has taken a file's place since the index was asked; None where none has."""
+        rows = self._rows(
+            f"select {_FILE_COLUMNS} from sealed_files f where f.first_position = %(first)s and f.path <> %(path)s",
+            {"first": file.first_position, "path": file.path},
+        )
+        return SealedFile(*rows[0]) if rows else None
 
 
 def _from(first: int, broken: SealedFileDamaged) -> SealedFileDamaged:

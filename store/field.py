@@ -58,7 +58,14 @@ class FieldSession:
             return [(column.name, column.type_display) for column in cursor.description or ()]
 
     def lines(
-        self, select: str, columns: int, parameters: dict[str, Any] | None = None, *, bytes_max: int, batch: int = 100
+        self,
+        select: str,
+        columns: int,
+        parameters: dict[str, Any] | None = None,
+        *,
+        rows_max: int,
+        bytes_max: int,
+        batch: int = 100,
     ) -> Iterator[str | None]:
         """Each row of the SELECT as a JSON array, read a batch at a time; None for one of more than `bytes_max` bytes.
 
@@ -66,6 +73,7 @@ class FieldSession:
             select: The SELECT; with parameters, as psycopg takes them.
             columns: How many columns it has.
             parameters: Values for it.
+            rows_max: Rows that it ends with, however many there are.
             bytes_max: Most bytes of a row.
             batch: Rows that are read at a time.
 
@@ -77,7 +85,8 @@ class FieldSession:
         # Offset 0 keeps PostgreSQL from making each line twice.
         query = (
             f"select case when octet_length(line) <= {bytes_max} then line end from "
-            f"(select cast(json_build_array({names}) as text) as line from ({select}) as asked ({names}) offset 0) as t"
+            f"(select cast(json_build_array({names}) as text) as line from ({select}) as asked ({names}) "
+            f"offset 0 limit {rows_max}) as t"
         )
         with self._told():
             self._connection.execute(f"declare question no scroll cursor for {query}".encode(), parameters)
@@ -187,19 +196,27 @@ def field_tables(log: Log) -> dict[str, tuple[str, ...]]:
     return {name: tuple(columns) for name, columns in rows}
 
 
-def rows_position(log: Log) -> int:
-    """Position up to which all rows are there: what was stored behind it does not answer yet.
+def standing(log: Log, leave_out: str) -> tuple[int, int]:
+    """Newest position of the log, and position up to which all rows are there: what is behind does not answer yet.
+
+    Args:
+        log: The log.
+        leave_out: Event type that does not count: the record of questions, which grows with each.
 
     Raises:
         LogUnavailable: The database is away.
     """
     with log.connection() as connection:
         row = connection.execute(
-            "select coalesce(min(position), 0) from checkpoints where name = %s or starts_with(name, %s)",
-            (PROJECTOR, BEHIND),
+            "with projected as (select coalesce(min(position), 0) as position from checkpoints "
+            "where name = %(projector)s or starts_with(name, %(behind)s)) "
+            "select coalesce((select s.position from segments s join streams t on t.id = s.stream_id "
+            "where s.position > p.position and t.type <> %(leave_out)s order by s.position desc limit 1), p.position), "
+            "p.position from projected p",
+            {"projector": PROJECTOR, "behind": BEHIND, "leave_out": leave_out},
         ).fetchone()
     assert row is not None, "an aggregate has one row"
-    return int(row[0])
+    return int(row[0]), int(row[1])
 
 
 def _may_bound_disk(connection: psycopg.Connection[Any]) -> bool:

@@ -12,7 +12,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import datetime
-from typing import LiteralString
+from typing import Any, LiteralString
 
 import psycopg
 
@@ -43,7 +43,7 @@ from events import (
     ZoneDefined,
     ZoneRemoved,
 )
-from store.errors import BadRequest, LogUnavailable
+from store.errors import BadRequest, LogUnavailable, StoreError
 from store.log import Log, Transaction
 
 KEPT_TYPES = frozenset(
@@ -117,7 +117,7 @@ def take_off(transaction: Transaction, positions: Sequence[int]) -> Freed:
     Raises:
         LogUnavailable: The account may not.
     """
-    with _as_pruner(transaction):
+    with as_pruner(transaction):
         row = transaction.connection.execute(
             "select segments, payload_bytes from prune_segments(%s::bigint[])", (list(positions),)
         ).fetchone()
@@ -132,7 +132,7 @@ def put_back(transaction: Transaction, position: int, payload: bytes) -> None:
         BadRequest: These are not the bytes that the segment's hash names, or there is no such segment.
         LogUnavailable: The account may not.
     """
-    with _as_pruner(transaction):
+    with as_pruner(transaction):
         transaction.connection.execute("select restore_payload(%s, %b::bytea)", (position, payload))
 
 
@@ -144,7 +144,7 @@ def repair(transaction: Transaction, repaired: Mapping[int, Segment]) -> None:
         LogUnavailable: The account may not.
     """
     headers = [segment.header for segment in repaired.values()]
-    with _as_pruner(transaction):
+    with as_pruner(transaction):
         transaction.connection.execute(
             "select repair_segments(%s::bigint[], %s::bigint[], %s::int[], %s::int[], %s::timestamptz[], "
             "%s::timestamptz[], %s::text[], %s::text[], %b::bytea[], %b::bytea[], %b::bytea[], %b::bytea[])",
@@ -231,20 +231,47 @@ def log_bytes(log: Log) -> int:
 
 
 @contextmanager
-def _as_pruner(transaction: Transaction) -> Iterator[None]:
-    """The transaction as the role that may, and then as the one before."""
+def as_pruner(transaction: Transaction) -> Iterator[None]:
+    """The transaction as the role that may take payloads off, and then as the one before.
+
+    Raises:
+        LogUnavailable: The account may not.
+        BadRequest: The database refuses the bytes.
+        StoreError: It refuses something else.
+    """
     connection = transaction.connection
-    try:
+    with _refusals():
         (role,) = connection.execute("select current_setting('role')").fetchone() or ("none",)
         connection.execute("set local role vian_pruner")
         yield
         connection.execute("select set_config('role', %s, true)", (role,))
+
+
+@contextmanager
+def pruner(log: Log) -> Iterator[psycopg.Connection[Any]]:
+    """A connection to the log's database as the role that may take payloads off, in a transaction of its own.
+
+    Raises:
+        LogUnavailable: The database is away, or the account may not.
+        StoreError: The database refuses.
+    """
+    with _refusals(), psycopg.connect(log.dsn) as connection:
+        connection.execute("set role vian_pruner")
+        yield connection
+
+
+@contextmanager
+def _refusals() -> Iterator[None]:
+    try:
+        yield
     except psycopg.errors.InsufficientPrivilege as error:
         raise LogUnavailable(
             f"this account may not take payloads off the log, or put them back: {error}. "
             "Next: as the database's owner, grant vian_pruner to this account"
         ) from error
+    except psycopg.OperationalError as error:
+        raise LogUnavailable(f"the database is away: {error}".strip()) from error
     except psycopg.DatabaseError as error:
-        if error.sqlstate != "VA008":
-            raise
-        raise BadRequest(f"the payload was not put back: {error}".strip()) from error
+        if error.sqlstate == "VA008":
+            raise BadRequest(f"the payload was not put back: {error}".strip()) from error
+        raise StoreError(f"the database refuses: {error}".strip()) from error

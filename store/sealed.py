@@ -179,8 +179,11 @@ class SealedWriter:
         """
         rows = [self._row(segment, before) for segment, before in zip(segments, previous, strict=True)]
         columns = [pa.array(column, field.type) for field, column in zip(SCHEMA, zip(*rows, strict=True), strict=True)]
-        table = pa.Table.from_arrays(columns, schema=SCHEMA)
-        self._writer.write_table(table, row_group_size=len(rows))
+        self.write_table(pa.Table.from_arrays(columns, schema=SCHEMA))
+
+    def write_table(self, table: pa.Table) -> None:
+        """Write a table of such rows as one row group."""
+        self._writer.write_table(table, row_group_size=table.num_rows)
 
     def close(self) -> None:
         """Write the end of the file."""

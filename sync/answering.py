@@ -16,10 +16,10 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from typing import Any, Literal, TypeVar
 
-from events import Producer, QueryAnswered, Station, StreamName, batch_of, encode
-from store import Log, LogUnavailable
+from events import Draft, Producer, QueryAnswered, Station, StreamName, batch_of, encode
+from store import Log, Transaction
 from store.errors import QuestionFailed, QuestionTooDear
-from store.field import Cost, FieldSession, field_session, field_tables, read_session, rows_position
+from store.field import Cost, FieldSession, field_session, field_tables, read_session, standing
 from sync.access import EVERY_STATION, Caller
 from sync.access import FIND as MAY_FIND
 from sync.access import QUERY as MAY_QUERY
@@ -66,6 +66,8 @@ class Answering:
         limits: What questions may cost.
         now: Central's clock.
         monotonic: Measures how long a question takes, s.
+        still_allowed: Asked in the transaction that records an answer, before it leaves; raises if the caller may no
+            longer ask, such as `Access.check_again`.
     """
 
     def __init__(
@@ -76,6 +78,7 @@ class Answering:
         limits: QuestionLimits,
         now: Callable[[], datetime],
         monotonic: Callable[[], float],
+        still_allowed: Callable[[Transaction, Caller], None] = lambda transaction, caller: None,
     ) -> None:
         self._log = log
         self._station = station
@@ -83,6 +86,7 @@ class Answering:
         self._limits = limits
         self._now = now
         self._monotonic = monotonic
+        self._still_allowed = still_allowed
         self._asking: Counter[str] = Counter()
         self._lock = threading.Lock()
 
@@ -117,28 +121,31 @@ class Answering:
         after = None if question.page is None else self._pages.opened(caller.station, asked, question.page)
         columns, limit = columns_of(question.kind), min(question.limit, self._limits.rows_max)
         text, parameters = select(question, _stations(caller), after, limit + 1)
-        position, stands = self._log.head(), rows_position(self._log)
+        stands = standing(self._log, QueryAnswered.type_name)
         with self._answered(read_session(self._log, self._limits.cost, self._monotonic)) as session:
-            lines = session.lines(text, len(columns) + 1, parameters, bytes_max=self._limits.row_bytes_max)
+            lines = session.lines(
+                text, len(columns) + 1, parameters, rows_max=limit + 1, bytes_max=self._limits.row_bytes_max
+            )
             told, key = _page(self._told(lines, limit))
         record.note(told)
         more = None if key is None else self._pages.sealed(caller.station, asked, key)
-        return self._answer(columns, told, (position, stands), more)
+        return self._answer(columns, told, stands, more)
 
     def _selected(self, caller: Caller, question: QueryQuestion, record: "_Record") -> bytes:
         try:
             text = permitted(question.sql, field_tables(self._log))
         except SelectRefused as error:
             raise _bad_question(str(error), "one SELECT over the tables of events") from error
-        limits, position, stands = self._limits, self._log.head(), rows_position(self._log)
+        limits, stands = self._limits, standing(self._log, QueryAnswered.type_name)
         with self._answered(field_session(self._log, _stations(caller), limits.cost, self._monotonic)) as session:
             columns = tuple(AnswerColumn(name=name, type=kind) for name, kind in session.columns(text))
             if not 1 <= len(columns) <= COLUMNS_MAX:
                 raise _bad_question(f"{len(columns)} columns", f"1 to {COLUMNS_MAX} columns")
-            lines = session.lines(text, len(columns), bytes_max=limits.row_bytes_max)
-            told = self._told(lines, min(question.limit, limits.rows_max))
+            rows_max = min(question.limit, limits.rows_max)
+            lines = session.lines(text, len(columns), rows_max=rows_max + 1, bytes_max=limits.row_bytes_max)
+            told = self._told(lines, rows_max)
         record.note(told)
-        return self._answer(columns, told, (position, stands), None)
+        return self._answer(columns, told, stands, None)
 
     def _answer(
         self, columns: tuple[AnswerColumn, ...], told: "_Told", stands: tuple[int, int], more: str | None
@@ -151,7 +158,7 @@ class Answering:
             next=more,
             cut=told.cut,
             position=position,
-            rows_position=min(rows, position),
+            rows_position=rows,
         )
         return answer.with_lines(told.lines)
 
@@ -199,17 +206,9 @@ class Answering:
     def _recorded(self, caller: Caller, kind: Kind, question: str, person: str | None) -> Iterator["_Record"]:
         """Whatever comes of the question in the block is in the log when the block ends."""
         record, began = _Record(), self._monotonic()
-        try:
-            with self._turn(caller.station):
-                yield record
-        except Refusal as refusal:
-            record.refused(refusal)
-            raise
-        except LogUnavailable as error:
-            record.outcome, record.reason = "failed", str(error)
-            raise
-        finally:
-            event = QueryAnswered(
+
+        def event() -> QueryAnswered:
+            return QueryAnswered(
                 time=self._now(),
                 asked_by=caller.station,
                 person=person,
@@ -220,8 +219,20 @@ class Answering:
                 duration_s=max(self._monotonic() - began, 0.0),
                 reason=record.reason,
             )
-            stream = StreamName.of(self._station, "sync", QueryAnswered.type_name)
-            self._log.append([encode(stream, batch_of([event]), _PRODUCER)])
+
+        try:
+            with self._turn(caller.station):
+                yield record
+            with self._log.transaction() as transaction:
+                self._still_allowed(transaction, caller)
+                transaction.append([self._draft(event())])
+        except BaseException as error:
+            record.came_to_nothing(error)
+            self._log.append([self._draft(event())])
+            raise
+
+    def _draft(self, event: QueryAnswered) -> Draft:
+        return encode(StreamName.of(self._station, "sync", QueryAnswered.type_name), batch_of([event]), _PRODUCER)
 
     @contextmanager
     def _turn(self, station: Station) -> Iterator[None]:
@@ -261,10 +272,13 @@ class _Record:
         """It was answered."""
         self.outcome, self.rows = "cut" if told.cut else "answered", len(told.lines)
 
-    def refused(self, refusal: Refusal) -> None:
+    def came_to_nothing(self, error: BaseException) -> None:
         """It was not."""
-        self.outcome = "timed_out" if refusal.code == "timed_out" else "refused"
-        self.reason = f"{refusal.code}: {refusal.got}"[:_REASON_MAX]
+        self.outcome, self.rows = "failed", 0
+        self.reason = str(error)[:_REASON_MAX] or type(error).__name__
+        if isinstance(error, Refusal):
+            self.outcome = "timed_out" if error.code == "timed_out" else "refused"
+            self.reason = f"{error.code}: {error.got}"[:_REASON_MAX]
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,6 +17,7 @@ from store.writing import Appended
 from sync.errors import ProtocolMismatch, Refusal, WireError
 from sync.held import held_of, runs_of
 from sync.runs import StreamKey
+from sync.turns import Turns
 from sync.unpacking import check_unpacked
 from sync.wire import (
     PROTOCOLS,
@@ -99,6 +100,9 @@ def apply_2(
     body_bytes_max: int,
     segments_max: int,
     still_allowed: Callable[[Transaction], None] = lambda _: None,
+    turns: Turns | None = None,
+    order: str = "",
+    follows: str = "",
 ) -> SegmentsAnswer:
     """Store the segments of the body, and say what is held of their streams then.
 
@@ -108,8 +112,10 @@ def apply_2(
         body: Records.
         body_bytes_max: Most bytes of it.
         segments_max: Most records in it.
-        still_allowed: Called when all is checked, in the transaction that stores it; raises if the caller may no
-            longer write.
+        still_allowed: Called in the transaction that stores, before it does; raises if the caller may no longer write.
+        turns: Where requests that follow one another wait.
+        order: The request's name, which the station gave it.
+        follows: Name of the request on which it goes on.
 
     Raises:
         Refusal: Something is wrong with them; nothing was stored.
@@ -117,8 +123,9 @@ def apply_2(
             been stored.
     """
     records = _records(body, body_bytes_max, segments_max)
-    check(log, caller.station, records, may_lack_payload=True)
-    appended = store_records(log, records, still_allowed)
+    with (turns or Turns()).taken(caller.station, order, follows if turns else ""):
+        check(log, caller.station, records, may_lack_payload=True)
+        appended = store_records(log, records, still_allowed)
     duplicates = sum(one.was_there for one in appended)
     held = runs_of(log, _keys(records))
     return SegmentsAnswer(
@@ -207,6 +214,7 @@ def store_records(
                 [record.segment.header.first_sequence - 1 for record in records],
                 epochs=[record.segment.header.epoch for record in records],
                 chain_hashes=[record.segment.chain_hash for record in records],
+                bases=[record.previous if record.begins_run else None for record in records],
             )
     except (SequenceConflict, ChainBroken) as error:
         raise _conflict(log, records, error) from error

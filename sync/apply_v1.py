@@ -7,12 +7,12 @@ knows no gaps, so it sends again what lies behind one, which is acknowledged lik
 from collections.abc import Callable, Iterable
 from datetime import datetime
 
-from events import Segment, Station, StreamName
+from events import GENESIS, Run, Segment, Station, StreamName
 from store import Log
 from sync.apply import check, check_owner, check_station, no_hello, no_segments, store_records, wrong_version
 from sync.errors import ProtocolMismatch, WireError
 from sync.held import held_of, runs_of
-from sync.runs import Run, StreamKey
+from sync.runs import StreamKey
 from sync.wire import Record, program
 from sync.wire_v1 import (
     PROTOCOL,
@@ -23,8 +23,6 @@ from sync.wire_v1 import (
     decode_records,
     parse_versioned,
 )
-
-_ZEROS = bytes(32)
 
 
 def answer_hello(
@@ -78,7 +76,7 @@ def apply(log: Log, station: Station, body: bytes, *, body_bytes_max: int, segme
 
 def cursor_of(key: StreamKey, runs: Iterable[Run]) -> StreamState:
     """Where the run ends that begins with the stream; sequence 0 where there is none."""
-    first = next((run for run in runs if not run.after), Run(0, _ZEROS, 0, _ZEROS))
+    first = next((run for run in runs if not run.after), Run(0, GENESIS, 0, GENESIS))
     return StreamState(
         stream=str(key.stream), epoch=key.epoch, sequence=first.sequence, chain_hash=first.chain_hash.hex()
     )
@@ -112,6 +110,6 @@ def _chained(log: Log, segments: list[Segment]) -> list[Record]:
             ends[key] = head.sequence, head.chain_hash
         sequence, chain_hash = ends[key]
         # What does not follow on what is known is a duplicate or a gap; the log tells which.
-        records.append(Record(segment, chain_hash if header.first_sequence == sequence + 1 else _ZEROS))
+        records.append(Record(segment, chain_hash if header.first_sequence == sequence + 1 else GENESIS))
         ends[key] = header.last_sequence, segment.chain_hash
     return records

@@ -9,6 +9,7 @@ the release before, which have a token of the stations file (`sync.grants`).
 """
 
 from collections.abc import Callable, Coroutine
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from time import monotonic
@@ -22,17 +23,36 @@ from sync.access import REPLICATE, Access, Asked, Caller
 from sync.apply import answer_hello_2, apply_2
 from sync.apply_v1 import answer_hello, apply, cursor_of
 from sync.bodies import BodyLimits, check_declared, read_body, read_signed
+from sync.countersigning import countersign
 from sync.enrolment import ENROL_BYTES_MAX, Attempts, Enrolled, parse_message
 from sync.errors import Refusal
 from sync.grants import Grantor, Grants
 from sync.problems import RESPONSES, Note, claim, cursors_2, problem_route
 from sync.questions import QUESTION_BYTES_MAX
+from sync.repair import RANGE_BYTES_MAX, RepairAnswer, records_for, repair_with
 from sync.signing import STATION_HEADER
-from sync.wire import BODY_BYTES_MAX, HELLO_BYTES_MAX, PATH, SEGMENTS_MAX, Challenge, ChallengeRequest
+from sync.turns import Turns
+from sync.wire import (
+    BODY_BYTES_MAX,
+    CHALLENGE_BYTES_MAX,
+    FOLLOWS_HEADER,
+    HELLO_BYTES_MAX,
+    ORDER_HEADER,
+    PATH,
+    RECORD_TYPE,
+    SEGMENTS_MAX,
+    Challenge,
+    ChallengeRequest,
+    Countersigned,
+    Range,
+)
 from sync.wire import HelloAnswer as HelloAnswer2
 from sync.wire import SegmentsAnswer as SegmentsAnswer2
 from sync.wire_v1 import PATH as PATH_1
 from sync.wire_v1 import HelloAnswer, SegmentsAnswer
+
+Storing = Callable[[], AbstractContextManager[None]]
+"""Makes what is entered while segments are stored."""
 
 __all__ = ["Call", "Door", "Grants", "Limits", "router"]
 
@@ -83,6 +103,7 @@ def router(
     access: Access | None = None,
     answers: Answers | None = None,
     note: Note = lambda kind, got: None,
+    while_storing: Storing = nullcontext,
 ) -> APIRouter:
     """The endpoints of sync over a log: `/sync/v1/...` with grants, `/sync/v2/...` with access.
 
@@ -94,13 +115,15 @@ def router(
         access: Who may speak in protocol version 2.
         answers: Answers the questions of stations, in version 2.
         note: Told of each refusal, such as `Refusals.note`.
+        while_storing: Entered while segments of a request are checked and stored.
     """
     most = limits or Limits()
     api = APIRouter()
     if grants is not None:
-        api.include_router(_version_1(log, grants, most, now, note))
+        api.include_router(_version_1(log, grants, most, now, note, while_storing))
     if access is not None:
-        api.include_router(_version_2(log, Door(access, most), most, now, note, answers))
+        api.include_router(_version_2(log, Door(access, most), most, now, note, answers, while_storing))
+        api.include_router(_repairs(log, Door(access, most), most, now, note))
     return api
 
 
@@ -156,10 +179,17 @@ class Door:
 
 
 def _version_2(
-    log: Log, door: Door, most: Limits, now: Callable[[], datetime], note: Note, answers: Answers | None
+    log: Log,
+    door: Door,
+    most: Limits,
+    now: Callable[[], datetime],
+    note: Note,
+    answers: Answers | None,
+    while_storing: Storing,
 ) -> APIRouter:
     api = APIRouter(prefix=PATH, tags=["sync"], route_class=problem_route(note, cursors_2), responses=RESPONSES)
     attempts = Attempts(monotonic)
+    turns = Turns()
     small = most.body(ENROL_BYTES_MAX)
 
     async def small_body(request: Request) -> bytes:
@@ -201,19 +231,53 @@ def _version_2(
 
     @api.post("/segments", summary="A station sends segments; 200 means that they are durable")
     def segments(
+        request: Request,
         call: Annotated[Call, Depends(door.opens("segments", REPLICATE, most.body_bytes_max))],
     ) -> SegmentsAnswer2:
-        return apply_2(
-            log,
-            call.caller,
-            call.body,
-            body_bytes_max=most.body_bytes_max,
-            segments_max=most.segments_max,
-            still_allowed=lambda transaction: door.access.check_again(transaction, call.caller),
-        )
+        with while_storing():
+            return apply_2(
+                log,
+                call.caller,
+                call.body,
+                body_bytes_max=most.body_bytes_max,
+                segments_max=most.segments_max,
+                still_allowed=lambda transaction: door.access.check_again(transaction, call.caller),
+                turns=turns,
+                order=request.headers.get(ORDER_HEADER, ""),
+                follows=request.headers.get(FOLLOWS_HEADER, ""),
+            )
+
+    @api.post("/countersign", summary="Central signs that it holds what a station's checkpoint says")
+    def countersigned(
+        call: Annotated[Call, Depends(door.opens("countersign", REPLICATE, CHALLENGE_BYTES_MAX))],
+    ) -> Countersigned:
+        return countersign(log, call.caller.station, call.body, door.access.key, now())
 
     if answers is not None:
         _add_questions(api, door, answers)
+    return api
+
+
+def _repairs(log: Log, door: Door, most: Limits, now: Callable[[], datetime], note: Note) -> APIRouter:
+    api = APIRouter(prefix=PATH, tags=["sync"], route_class=problem_route(note, cursors_2), responses=RESPONSES)
+
+    @api.post("/segments/read", summary="A station reads back segments that it sent", response_class=Response)
+    def read(call: Annotated[Call, Depends(door.opens("segments/read", REPLICATE, RANGE_BYTES_MAX))]) -> Response:
+        wanted = parse_message(Range, call.body)
+        body = records_for(
+            log, call.caller.station, wanted, bytes_max=most.body_bytes_max, segments_max=most.segments_max
+        )
+        return Response(body, media_type=RECORD_TYPE)
+
+    @api.post("/segments/repair", summary="A station sends again what central wants back")
+    def repair(
+        call: Annotated[Call, Depends(door.opens("segments/repair", REPLICATE, most.body_bytes_max))],
+    ) -> RepairAnswer:
+        repaired = repair_with(
+            log, door.access.registry.central, call.caller.station, call.body, segments_max=most.segments_max, now=now
+        )
+        return RepairAnswer(repaired=repaired)
+
     return api
 
 
@@ -229,7 +293,9 @@ def _add_questions(api: APIRouter, door: Door, answers: Answers) -> None:
         return Response(answers.query(call.caller, call.body), media_type="application/json")
 
 
-def _version_1(log: Log, grants: Grantor, most: Limits, now: Callable[[], datetime], note: Note) -> APIRouter:
+def _version_1(
+    log: Log, grants: Grantor, most: Limits, now: Callable[[], datetime], note: Note, while_storing: Storing
+) -> APIRouter:
     api = APIRouter(prefix=PATH_1, tags=["sync"], route_class=problem_route(note, _cursors_1), responses=RESPONSES)
 
     async def granted(request: Request) -> Station:
@@ -255,7 +321,8 @@ def _version_1(log: Log, grants: Grantor, most: Limits, now: Callable[[], dateti
     def segments(
         station: Annotated[Station, Depends(granted)], body: Annotated[bytes, Depends(segments_body)]
     ) -> SegmentsAnswer:
-        return apply(log, station, body, body_bytes_max=most.body_bytes_max, segments_max=most.segments_max)
+        with while_storing():
+            return apply(log, station, body, body_bytes_max=most.body_bytes_max, segments_max=most.segments_max)
 
     return api
 

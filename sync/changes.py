@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from datetime import datetime
 
 from events import StreamName
-from sync.plan import Entry, Plan
+from sync.entries import Entry
+from sync.plan import Plan
 from sync.plan_values import time_text
 
 

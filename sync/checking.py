@@ -9,9 +9,10 @@ from fnmatch import fnmatchcase
 import duckdb
 
 from events import Catalogue, EventType
+from sync.entries import Entry
 from sync.errors import PlanError
 from sync.filtering import Sieve, database
-from sync.plan import Entry, Plan
+from sync.plan import Plan
 
 
 def check_filters(plan: Plan, catalogue: Catalogue) -> None:
@@ -39,7 +40,8 @@ def _check_filter(plan: Plan, number: int, entry: Entry, catalogue: Catalogue, r
             Sieve(entry, event_type, runs)
         except PlanError as error:
             narrower = "; name a single type in the pattern" if len(types) > 1 else ""
-            raise PlanError(f"entries[{number}] {error}. Next: correct the entry{narrower}") from error
+            end = "\n" if "\n" in str(error) else ". "
+            raise PlanError(f"entries[{number}] {error}{end}Next: correct the entry{narrower}") from error
 
 
 def warnings_of(plan: Plan) -> list[str]:

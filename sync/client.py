@@ -1,26 +1,97 @@
-"""Central as the station sees it: two calls over HTTP, and what each failure means.
+"""Central as the station sees it in protocol 2.
 
-Contract: a call either returns central's answer or raises a `CentralError` that says what happened
-and what to do next. It never retries; after an error it is unknown what central stored. Answers are
-read up to a limit, and are untrusted text until they parse.
+Contract: a call either returns central's answer or raises a `CentralError` that says what happened and what
+to do next. It never retries; after an error it is unknown what central stored. `send` may be called from
+several threads at once, the rest by one.
 """
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Protocol
 
 import httpx
 
-from events import StreamName
-from sync.errors import (
-    BadAnswer,
-    CentralError,
-    CentralFailed,
-    CentralUnreachable,
-    NotAuthorised,
-    ProtocolMismatch,
-    Refused,
-    WireError,
+from events import Station
+from store import StreamHead
+from sync.errors import BadAnswer, WireError
+from sync.exchange import DEADLINE_S, Exchange
+from sync.runs import Point, Runs, StreamKey, end_of
+from sync.wire import (
+    ANSWER_BYTES_MAX,
+    CHALLENGE_BYTES_MAX,
+    FOLLOWS_HEADER,
+    HELLO_ANSWER_BYTES_MAX,
+    ORDER_HEADER,
+    PATH,
+    PROTOCOL,
+    PROTOCOLS,
+    RECORD_TYPE,
+    Challenge,
+    ChallengeRequest,
+    Countersigned,
+    CountersignRequest,
+    Hello,
+    HelloAnswer,
+    M,
+    Record,
+    SegmentsAnswer,
+    StreamState,
+    cursors_hash,
+    encode_records,
+    parse,
+    program,
 )
-from sync.grants import checked_token
-from sync.wire import RECORD_TYPE, parse
-from sync.wire_v1 import ANSWER_BYTES_MAX, PATH, PROTOCOL, Hello, HelloAnswer, Problem, SegmentsAnswer, parse_versioned
+
+JSON = {"Content-Type": "application/json"}
+
+
+@dataclass(frozen=True, slots=True)
+class Greeting:
+    """What a station says of itself in a hello."""
+
+    station: Station
+    epoch: int
+    time: datetime
+    heads: Sequence[StreamHead]
+    """of the streams that it means to send"""
+    believed: Mapping[StreamKey, Runs] | None
+    """what it believes that central holds, of all its streams; None where it does not know"""
+    checkpoint: int | None
+    """sequence of its newest checkpoint that central countersigned"""
+
+
+class Link(Protocol):
+    """Central in one version of the protocol."""
+
+    protocol: int
+    may_jump: bool
+    """Whether a run may begin beyond what central holds."""
+    knows_all: bool
+    """Whether an answer to hello tells of all the station's streams, and not of those alone that were named."""
+
+    @property
+    def address(self) -> str:
+        """Central's address, without a password."""
+
+    def hello(self, greeting: Greeting) -> HelloAnswer:
+        """Central's answer to a hello. Raises CentralError where there is none."""
+
+    def send(self, records: Sequence[Record], order: str = "", follows: str = "") -> SegmentsAnswer:
+        """Central's acknowledgement: the segments are durable there. Raises CentralError where there is none."""
+
+    def countersign(self, request: CountersignRequest) -> Countersigned:
+        """Central's signature under a checkpoint. Raises CentralError where there is none."""
+
+
+class Signer(Protocol):
+    """What signs a station's requests, beside being an `httpx.Auth`."""
+
+    def answer(self, challenge: str) -> None:
+        """Sign the next hello over this challenge."""
+
+    def use(self, token: str) -> None:
+        """Begin a session: show this token from now on."""
 
 
 class Central:
@@ -29,134 +100,101 @@ class Central:
     Args:
         client: Has central's address as `base_url`, and a timeout: 30 s, which outlasts central's wait for
             its database, is a good one.
-        token: This station's token.
-
-    Raises:
-        GrantError: The token cannot be one.
+        signer: An `httpx.Auth` that signs each request, such as `sync.signing.RequestSigner`; None sends them
+            unsigned, which no central takes but one in tests.
+        deadline_s: Longest time of an exchange, but for what its body takes.
     """
 
-    def __init__(self, client: httpx.Client, token: str) -> None:
-        self._client = client
-        self._authorization = f"Bearer {checked_token(token)}"
+    protocol = PROTOCOL
+    may_jump = True
+    knows_all = True
+
+    def __init__(self, client: httpx.Client, signer: Signer | None, deadline_s: float = DEADLINE_S) -> None:
+        assert signer is None or isinstance(signer, httpx.Auth), "a signer is handed to httpx"
+        self._exchange = Exchange(client, PATH, PROTOCOL, signer, deadline_s)
+        self._signer = signer
 
     @property
     def address(self) -> str:
         """Central's address, without a password."""
-        return str(self._client.base_url.copy_with(username=None, password=None)).rstrip("/")
+        return self._exchange.address
 
-    def hello(self, hello: Hello) -> HelloAnswer:
-        """Central's answer to the hello.
+    def hello(self, greeting: Greeting) -> HelloAnswer:
+        """Central's answer to the hello, which is signed over a challenge of central's and begins a session.
 
         Raises:
             CentralError: There is none.
         """
-        data = self._post("hello", hello.encoded(), "application/json")
-        try:
-            return parse_versioned(HelloAnswer, data)
-        except ProtocolMismatch as error:
-            raise ProtocolMismatch(f"central at {self.address}: {error}. {_UPGRADE}") from error
-        except WireError as error:
-            raise self._bad_answer(str(error)) from error
+        challenge = self._challenge(greeting.station)
+        if self._signer is not None:
+            self._signer.answer(challenge.challenge)
+        said = Hello(
+            protocols=PROTOCOLS,
+            program=program(),
+            station=greeting.station,
+            epoch=greeting.epoch,
+            time=greeting.time,
+            challenge=challenge.challenge,
+            streams=_named(greeting),
+            cursors_hash=None if greeting.believed is None else cursors_hash(greeting.believed.items()),
+            checkpoint=greeting.checkpoint,
+        )
+        answer = self._parsed(HelloAnswer, "hello", said.encoded(), JSON, HELLO_ANSWER_BYTES_MAX)
+        if answer.protocol not in PROTOCOLS:
+            raise BadAnswer(f"central at {self.address} answers in protocol {answer.protocol}, which was not offered")
+        if self._signer is not None:
+            self._signer.use(answer.token)
+        return answer
 
-    def send(self, body: bytes) -> SegmentsAnswer:
-        """Central's acknowledgement: the body's segments are durable there.
+    def send(self, records: Sequence[Record], order: str = "", follows: str = "") -> SegmentsAnswer:
+        """Central's acknowledgement: the segments are durable there.
+
+        Args:
+            records: One or more.
+            order: A name for the request.
+            follows: Name of the request in flight on which this one goes on; empty: none.
 
         Raises:
             CentralError: There is none; they may be durable or not.
         """
-        data = self._post("segments", body, RECORD_TYPE)
+        headers = {"Content-Type": RECORD_TYPE, ORDER_HEADER: order, FOLLOWS_HEADER: follows}
+        given = {name: value for name, value in headers.items() if value}
+        return self._parsed(SegmentsAnswer, "segments", encode_records(records), given, ANSWER_BYTES_MAX)
+
+    def countersign(self, request: CountersignRequest) -> Countersigned:
+        """Central's signature under a checkpoint of this station.
+
+        Raises:
+            CentralError: There is none.
+        """
+        return self._parsed(Countersigned, "countersign", request.encoded(), JSON, ANSWER_BYTES_MAX)
+
+    def _challenge(self, station: Station) -> Challenge:
+        said = ChallengeRequest(station=station).encoded()
+        return self._parsed(Challenge, "challenge", said, JSON, CHALLENGE_BYTES_MAX)
+
+    def _parsed(
+        self, message_type: type[M], endpoint: str, body: bytes, headers: Mapping[str, str], answer_bytes_max: int
+    ) -> M:
+        data = self._exchange.post(endpoint, body, headers, answer_bytes_max)
         try:
-            return parse(SegmentsAnswer, data)
+            return parse(message_type, data)
         except WireError as error:
-            raise self._bad_answer(str(error)) from error
-
-    def _post(self, endpoint: str, body: bytes, content_type: str) -> bytes:
-        headers = {"Authorization": self._authorization, "Content-Type": content_type, "Accept-Encoding": "identity"}
-        try:
-            with self._client.stream("POST", f"{PATH}/{endpoint}", content=body, headers=headers) as response:
-                data = self._read(response)
-        except httpx.TimeoutException as error:
-            raise CentralUnreachable(f"central at {self.address} gave no answer in time ({_said(error)})") from error
-        except httpx.HTTPError as error:
-            raise CentralUnreachable(
-                f"central at {self.address} cannot be reached: {_said(error)}. Next: check address and link; "
-                "nothing is lost, it goes on by itself when central is back"
-            ) from error
-        if response.status_code == 200:
-            return data
-        raise self._error(response, data)
-
-    def _read(self, response: httpx.Response) -> bytes:
-        data = bytearray()
-        for piece in response.iter_bytes():
-            data += piece
-            if len(data) > ANSWER_BYTES_MAX:
-                raise self._bad_answer(f"more than {ANSWER_BYTES_MAX} bytes")
-        return bytes(data)
-
-    def _error(self, response: httpx.Response, data: bytes) -> CentralError:
-        status = response.status_code
-        try:
-            problem = parse(Problem, data)
-        except WireError:
-            return self._foreign_error(response, data)
-        said = f"central at {self.address} answered {status}: {_explained(problem)}"
-        if status == 401 or problem.code == "foreign_station":
-            return NotAuthorised(said)
-        if problem.code == "protocol_version":
-            return ProtocolMismatch(f"{said}. This station speaks version {PROTOCOL}")
-        if status >= 500:
-            return CentralFailed(said)
-        stream = StreamName.parse(problem.stream) if problem.stream else None
-        return Refused(
-            said, code=problem.code, stream=stream, epoch=problem.epoch, first_sequence=problem.first_sequence
-        )
-
-    def _foreign_error(self, response: httpx.Response, data: bytes) -> CentralError:
-        """The error for an answer that has no problem body of ours."""
-        status = response.status_code
-        if status == 401:
-            return NotAuthorised(
-                f"something before central at {self.address} wants other credentials: {_seen(response, data)}. "
-                "Next: let the proxy pass the Authorization header through"
-            )
-        if status == 413:
-            return BadAnswer(
-                f"a proxy before central at {self.address} finds the request too large: {_seen(response, data)}. "
-                "Next: raise its limit (nginx: client_max_body_size), or lower the bytes of a request"
-            )
-        if status >= 500:
-            return CentralFailed(f"central at {self.address} or a proxy before it failed: {_seen(response, data)}")
-        return self._bad_answer(_seen(response, data))
-
-    def _bad_answer(self, what: str) -> BadAnswer:
-        return BadAnswer(
-            f"what answers at {self.address} is not ViAn's central: {what}. "
-            f"Next: check the address; curl -i -X POST {self.address}{PATH}/hello must answer 401 with JSON"
-        )
+            raise self._exchange.bad_answer(str(error)) from error
 
 
-_UPGRADE = "Next: bring station and central to the same ViAn: pip install --upgrade vian"
-
-
-def _explained(problem: Problem) -> str:
-    return _clean(
-        f"{problem.error} ({problem.code}): got {problem.got}, wanted {problem.wanted}. Next: {problem.next}", 1500
+def _named(greeting: Greeting) -> tuple[StreamState, ...]:
+    """The streams of which central may lack something, as the station believes."""
+    believed = greeting.believed or {}
+    return tuple(
+        state_of(head)
+        for head in greeting.heads
+        if end_of(believed.get(StreamKey(head.stream, head.epoch), ())) != Point(head.sequence, head.chain_hash)
     )
 
 
-def _seen(response: httpx.Response, data: bytes) -> str:
-    kind = _clean(response.headers.get("content-type", "no content type"), 80)
-    location = response.headers.get("location")
-    to = f" to {_clean(location, 200)}" if location else ""
-    return f"status {response.status_code}{to}, {kind}, {_clean(data[:400].decode('utf-8', 'replace'), 160)!r}"
-
-
-def _said(error: httpx.HTTPError) -> str:
-    return _clean(str(error), 300) or type(error).__name__
-
-
-def _clean(text: str, length_max: int) -> str:
-    """The text in one line that is safe to print, cut to a length."""
-    line = " ".join(text.split())
-    return "".join(letter if letter.isprintable() else "?" for letter in line)[:length_max]
+def state_of(head: StreamHead) -> StreamState:
+    """The message that says where a stream stands here."""
+    return StreamState(
+        stream=str(head.stream), epoch=head.epoch, sequence=head.sequence, chain_hash=head.chain_hash.hex()
+    )

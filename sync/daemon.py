@@ -1,42 +1,44 @@
 """The station's side: a daemon that one can step by hand.
 
-Contract: `step` does one bounded thing (log the plan, say hello, send one request, or find nothing to
-do) and says what, and how long it may sleep. Central holds the cursors and the log the segments, so
+Contract: `step` does one bounded thing (log the plan, say hello, send one request, do a piece of a chore, or find
+nothing to do) and says what, and how long it may sleep. Central holds the cursors and the log the segments, so
 the daemon keeps nothing that a kill could lose. After any doubt (no answer, a refusal, a failure) it
-says hello again before it sends. Clock and randomness are passed in.
+says hello again before it sends. Clocks and randomness are passed in. With one request in flight a step is
+over when its request is answered; with more, a step launches one or takes in one that has landed.
 
-Order: of the streams with a backlog, the smallest priority number first; among equals the one that
-waited longest. A stream whose history differs from central's, as two hellos say, is stopped; the others go on.
+Order: `sync.scheduling`. A stream whose history differs from central's, as two hellos say, is stopped; the others go
+on.
 """
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from datetime import datetime
+from itertools import pairwise
+from time import monotonic as steady
 
-import httpx
-
-from events import EventError, Producer, Station, StreamName, SyncPlanned, batch_of, decode, encode, events_of
-from store import Log, LogUnavailable, SequenceConflict, StreamHead
+from events import Station
+from store import Log, LogUnavailable, SequenceConflict
 from sync.bell import Bell
-from sync.client import Central
-from sync.errors import (
-    BadAnswer,
-    CentralError,
-    NotAuthorised,
-    PlanError,
-    ProtocolMismatch,
-    Refused,
-    SegmentRefused,
-    StreamStopped,
-)
-from sync.outbox import Capacity, Outbox, Parcel, StreamKey, check_heads, key_of
-from sync.plan import Plan
-from sync.reports import Pace, Status, Step, StreamStatus
-from sync.wire import STREAMS_MAX, program
-from sync.wire_v1 import PROTOCOL, Hello, SegmentsAnswer, StreamState
+from sync.chores import Chores
+from sync.client import Greeting, Link
+from sync.contact import Contact
+from sync.countersigning import Countersigning
+from sync.errors import BadAnswer, CentralError, PlanError, Refused, SegmentRefused, StreamStopped
+from sync.flights import Flights, Landed
+from sync.outbox import Capacity, Outbox
+from sync.pacing import Caps, Meter, Sizer
+from sync.plan import Entry, Plan
+from sync.planning import plan_stream, planned_in, set_plan
+from sync.reporting import Reporter
+from sync.reports import Chore, Pace, State, Status, Step, StreamStatus
+from sync.runs import Runs, StreamKey, are_held, end_of
+from sync.scheduling import Share, Work, chosen
+from sync.standing import Standing
+from sync.wire import Cursor, HelloAnswer, RunState
 
-PRODUCER = "sync"
-PRODUCER_VERSION = "1"
+_LANDING_S = 0.05
+"""Longest wait for a request to be answered before the log is looked at again."""
 
 
 class Daemon:
@@ -45,16 +47,17 @@ class Daemon:
     Args:
         log: The station's log.
         station: Whose streams they are.
-        plan: Which streams, in which order.
-        client: Has central's address as `base_url`, and a timeout.
-        token: The station's token.
+        plan: What to begin with; a plan that the log names later is followed from then on.
+        central: Where to.
         now: The station's clock, aware.
         random: Numbers from 0 to 1, which spread the stations' retries.
+        monotonic: Seconds that never go back.
         pace: How much at a time, how long between.
+        chores: Further work, done when nothing live waits.
+        central_key: Central's public key, under which it countersigns checkpoints; None: it is not asked to.
 
     Raises:
         PlanError: No entry of the plan can fit a stream of this station.
-        GrantError: The token cannot be one.
     """
 
     def __init__(
@@ -62,57 +65,60 @@ class Daemon:
         log: Log,
         station: Station,
         plan: Plan,
-        client: httpx.Client,
+        central: Link,
         *,
-        token: str,
         now: Callable[[], datetime],
         random: Callable[[], float],
+        monotonic: Callable[[], float] = steady,
         pace: Pace | None = None,
+        chores: Sequence[Chore] = (),
+        central_key: bytes | None = None,
     ) -> None:
         if not any(entry.fits_station(station) for entry in plan.entries):
             raise PlanError(f"the plan names no stream of station {station}; write */... or {station}/... in an entry")
         self._log = log
         self._station = station
         self._plan = plan
-        self._central = Central(client, token)
+        self._central = central
         self._now = now
-        self._random = random
+        self._monotonic = monotonic
         self._pace = pace or Pace()
+        name = f"{int(random() * 2**32):08x}"
         self._outbox = Outbox(log)
-        self._priorities: dict[StreamName, int | None] = {}
-        self._is_planned = False
-        self._is_log_away = False
-        self._cursors: dict[StreamKey, StreamHead] | None = None
-        self._capacity = Capacity(self._pace.request_bytes, 0, 0)
-        self._stopped: dict[StreamKey, StreamStopped] = {}
+        self._standing = Standing(log, station)
+        self._flights = Flights(central, self._pace.in_flight, name, monotonic)
+        self._contact = Contact(self._pace, now, random)
+        self._chores = Chores(chores)
+        self._countersigning = Countersigning(log, station, central_key, monotonic)
+        self._reporter = Reporter(log, name, now, monotonic)
+        self._sizer = Sizer(self._pace.latency_s, self._pace.request_bytes_min, self._pace.request_bytes)
+        self._meter = Meter()
+        self._share = Share()
+        self._caps = Caps()
+        self._terms = _Terms()
+        self._sent: dict[StreamKey, _Sent] = {}
         self._doubts: dict[StreamKey, str] = {}
-        self._turns: dict[StreamKey, int] = {}
-        self._turn = 0
-        self._failures = 0
-        self._last_error: str | None = None
-        self._last_contact: datetime | None = None
-        self._clock_offset_s: float | None = None
+        self._state: State = "starting"
+        self._is_set = False
+        self._is_log_away = False
+        self._is_chores_turn = True
+        self._log_head = -1
+        self._plan_place: tuple[int, int] | None = None
+        self._is_plan_seen = False
+        self._standing.follow(plan.resolved(now()))
 
     def step(self) -> Step:
         """Do one bounded thing, and say what it was."""
-        try:
-            if self._is_log_away:
-                self._log.revive()
-                self._is_log_away = False
-            return self._do()
-        except StreamStopped as error:
-            return self._doubted_or_stopped(error)
-        except LogUnavailable as error:
-            self._is_log_away = True
-            return self._failed(error)
-        except (CentralError, PlanError) as error:
-            return self._failed(error)
+        step = self._step()
+        is_at_work = step.did not in ("nothing", "sending")
+        self._reporter.report(self._state, self._contact.last_error, self.status, is_at_work=is_at_work)
+        return step
 
     def run(self, stop: threading.Event, on_step: Callable[[Step], None] | None = None) -> None:
         """Step until `stop` is set; sleep between steps until the log grows or a pause is over.
 
         Args:
-            stop: Set it to end; it ends within a second, or when a request's timeout is over.
+            stop: Set it to end; it ends within a second, or when a request's deadline is over.
             on_step: Told of every step.
         """
         bell = Bell(self._log, self._station)
@@ -128,6 +134,7 @@ class Daemon:
                     stop.wait(step.sleep_s)
         finally:
             bell.close()
+            self._flights.close()
 
     def catch_up(self) -> int:
         """Number of events sent until nothing was left to do.
@@ -149,178 +156,306 @@ class Daemon:
         Raises:
             LogUnavailable: The station's database is away.
         """
-        cursors = self._cursors or {}
-        streams = []
-        for priority, head in self._planned():
-            cursor, stopped = cursors.get(key_of(head)), self._stopped.get(key_of(head))
-            streams.append(
-                StreamStatus(
-                    head.stream,
-                    head.epoch,
-                    priority,
-                    head.sequence,
-                    cursor.sequence if cursor else None,
-                    max(0, head.sequence - cursor.sequence) if cursor else None,
-                    str(stopped) if stopped else None,
-                )
-            )
+        self._look()
+        contact = self._contact
         return Status(
             self._station,
             self._central.address,
-            tuple(streams),
-            self._last_contact,
-            self._clock_offset_s,
-            self._failures,
-            self._last_error,
+            tuple(map(self._stream_status, self._standing.keys())),
+            contact.last,
+            contact.clock_offset_s,
+            contact.failures,
+            contact.last_error or self._stop_reason(),
+            state=self._state,
+            protocol=self._central.protocol,
+            rate_bps=self._meter.bps,
+            countersigned=self._countersigning.sequence,
+            notes=self._chores.notes,
         )
+
+    def _stream_status(self, key: StreamKey) -> StreamStatus:
+        planned, held = self._standing.planned[key], self._standing.acknowledged
+        stopped, sent = self._standing.stopped.get(key), self._sent.get(key)
+        return StreamStatus(
+            key.stream,
+            key.epoch,
+            planned.entry.priority,
+            planned.head.sequence,
+            None if held is None else end_of(held.get(key, ())).sequence,
+            self._standing.backlog(key),
+            None if stopped is None else str(stopped),
+            None if sent is None else sent.until,
+            None if sent is None else sent.size / sent.events,
+        )
+
+    def _stop_reason(self) -> str | None:
+        return next((str(error) for error in self._standing.stopped.values()), None)
+
+    def _step(self) -> Step:
+        try:
+            if self._is_log_away:
+                self._log.revive()
+                self._is_log_away = False
+            return self._do()
+        except StreamStopped as error:
+            return self._doubted_or_stopped(error)
+        except LogUnavailable as error:
+            self._is_log_away = True
+            return self._failed(error)
+        except (CentralError, PlanError) as error:
+            return self._failed(error)
 
     def _do(self) -> Step:
-        if not self._is_planned:
-            return self._log_plan()
-        planned = self._planned()
-        cursors = self._cursors
-        if cursors is None or any(key_of(head) not in cursors for _, head in planned):
-            return self._hello([head for _, head in planned])
-        return self._send(planned, cursors)
+        if not self._is_set:
+            return self._set_plan()
+        self._look()
+        self._heed_plan()
+        if (landed := self._flights.landed()) is not None:
+            return self._land(landed)
+        if self._standing.runs is None and len(self._flights):
+            self._wait_for_landing()  # of what was under way when something failed: its answer is told, not believed
+            return Step("sending")
+        self._standing.check()
+        is_held_up = self._plan.paused or self._is_hello_due()
+        if is_held_up and len(self._flights):
+            self._wait_for_landing()
+            return Step("sending")
+        if is_held_up:
+            return self._rest("paused") if self._plan.paused else self._hello()
+        return self._work()
 
-    def _log_plan(self) -> Step:
-        """Append the plan to the station's log, unless it is what the log says already."""
-        stream = StreamName.of(self._station, "sync", SyncPlanned.type_name)
-        head = self._log.stream_head(stream)
-        plan_hash = self._plan.plan_hash
-        if self._newest_plan(head) != (self._central.address, plan_hash.hex()):
-            event = SyncPlanned(
-                time=self._now(), central=self._central.address, plan=self._plan.canonical(), plan_hash=plan_hash.hex()
-            )
-            draft = encode(stream, batch_of([event]), Producer(PRODUCER, PRODUCER_VERSION, plan_hash))
-            try:
-                self._log.append([draft], [head.sequence])
-            except SequenceConflict:
-                return Step("planned")  # Another daemon of this station was faster: look again.
-        self._is_planned = True
+    def _set_plan(self) -> Step:
+        """Have the log name the plan, unless it does, and follow what it names."""
+        try:
+            planned = set_plan(self._log, self._station, self._plan, self._central.address, self._now())
+        except SequenceConflict:
+            return Step("planned")  # Others were faster: look again.
+        self._is_set = True
+        self._follow(planned.plan, (planned.epoch, planned.sequence))
         return Step("planned")
 
-    def _newest_plan(self, head: StreamHead) -> tuple[str, str] | None:
-        """Address and hash of the plan that the log names last; None if there is none that reads."""
-        for segment in self._log.read(head.stream, head.sequence, epoch=head.epoch) if head.sequence else ():
-            try:
-                event = events_of(decode(segment, self._log.catalogue))[-1]
-            except EventError:
-                return None  # A newer ViAn wrote it, or it is damaged: the plan is said once more.
-            assert isinstance(event, SyncPlanned)
-            return event.central, event.plan_hash
-        return None
+    def _follow(self, plan: Plan, place: tuple[int, int]) -> None:
+        self._plan, self._plan_place = plan, place
+        self._caps.follow(plan)
+        self._standing.follow(plan)
+        self._outbox.forget()
 
-    def _hello(self, heads: list[StreamHead]) -> Step:
+    def _look(self) -> None:
+        """Take in what the log holds now."""
+        if self._log.head() != self._log_head:
+            self._log_head, heads = self._log.heads()
+            self._standing.look(self._log_head, heads)
+            self._chores.wake()
+            self._is_plan_seen = False
+
+    def _heed_plan(self) -> None:
+        """Follow the plan that the log names, if it is another."""
+        if self._is_plan_seen:
+            return
+        newest = self._standing.newest(plan_stream(self._station))
+        if newest != self._plan_place:
+            planned = planned_in(self._log, self._station)
+            assert planned is not None, "it was set at the start"
+            self._follow(planned.plan, (planned.epoch, planned.sequence))
+        self._is_plan_seen = True
+
+    def _is_hello_due(self) -> bool:
+        if self._standing.runs is None:
+            return True
+        if not self._central.knows_all and not self._standing.planned.keys() <= self._terms.named:
+            return True
+        at, until = self._monotonic(), self._terms.token_until
+        if at - self._terms.at >= self._pace.hello_s:
+            return True
+        return until is not None and at >= until and self._has_work()
+
+    def _has_work(self) -> bool:
+        return bool(self._standing.works(may_jump=self._central.may_jump))
+
+    def _hello(self) -> Step:
         asked = self._now()
+        heads = self._standing.heads()
         answer = self._central.hello(
-            Hello(
-                protocol=PROTOCOL,
-                program=program(),
-                station=self._station,
-                epoch=self._log.epoch,
-                time=asked,
-                streams=tuple(map(StreamState.of, heads)),
+            Greeting(
+                self._station,
+                self._log.epoch,
+                asked,
+                heads,
+                self._standing.acknowledged,
+                self._countersigning.sequence,
             )
         )
-        cursors = {key_of(state.head()): state.head() for state in answer.cursors}
-        unanswered = [str(head.stream) for head in heads if key_of(head) not in cursors]
-        if unanswered:
-            raise BadAnswer(f"central at {self._central.address} gave no cursor for {', '.join(unanswered[:5])}")
+        held = self._standing.acknowledged if answer.are_cursors_known else None
+        self._standing.hear(dict(held) if held is not None else _told(answer.cursors))
         self._outbox.forget()
-        self._cursors = cursors
-        wanted = min(self._pace.request_bytes, answer.body_bytes_max)
-        self._capacity = Capacity(wanted, answer.body_bytes_max, answer.segments_max)
-        self._last_contact = self._now()
-        self._clock_offset_s = (answer.time - asked).total_seconds()
+        self._terms = _Terms.of(answer, self._monotonic(), {StreamKey(head.stream, head.epoch) for head in heads})
+        self._caps.heed(answer.bits_per_s_max)
+        self._contact.greeted(asked, answer.time)
         return Step("hello")
 
-    def _send(self, planned: list[tuple[int, StreamHead]], cursors: dict[StreamKey, StreamHead]) -> Step:
-        parcel = self._outbox.fill(self._queue(planned, cursors), self._capacity)
-        if not parcel.segments:
-            self._went_well()
-            return Step("nothing", self._pace.idle_s)
-        self._acknowledged(parcel, self._central.send(parcel.body), cursors)
-        return Step("sent", segments=parcel.segments, events=parcel.events, bytes=len(parcel.body))
+    def _work(self) -> Step:
+        """Do the most urgent thing: live work, then signatures, chores and backlog in turn."""
+        works = self._standing.works(may_jump=self._central.may_jump)
+        at = self._monotonic()
+        waits = {id(work): self._caps.wait_s(work.entry, at, is_live=work.is_live) for work in works}
+        ready = [work for work in works if not waits[id(work)]]
+        chosen_now = chosen(ready, self._share, self._plan.backlog_share) if self._flights.has_slot else []
+        if chosen_now and chosen_now[0].is_live:
+            return self._launch(chosen_now, at)
+        if (step := self._countersign()) is not None:
+            return step
+        self._is_chores_turn = not self._is_chores_turn or not chosen_now
+        if self._is_chores_turn and self._chores.step(self._now()):
+            return Step("chore")
+        if chosen_now:
+            return self._launch(chosen_now, at)
+        if len(self._flights):
+            self._wait_for_landing()
+            return Step("sending")
+        return self._rest("caught_up" if not works else "sending", min(waits.values(), default=None))
 
-    def _acknowledged(self, parcel: Parcel, answer: SegmentsAnswer, cursors: dict[StreamKey, StreamHead]) -> None:
-        stands = {key_of(state.head()): state.head() for state in answer.cursors}
-        for key, end in parcel.ends.items():
-            if key not in stands or stands[key].sequence < end.sequence:
+    def _rest(self, state: State, wait_s: float | None = None) -> Step:
+        self._contact.went_well()
+        self._state = state
+        until_hello = self._terms.at + self._pace.hello_s - self._monotonic()
+        sleep_s = min(self._pace.idle_s, max(until_hello, 0.001))
+        return Step("nothing", sleep_s if wait_s is None else min(sleep_s, wait_s))
+
+    def _countersign(self) -> Step | None:
+        held = self._standing.acknowledged
+        request = self._countersigning.due(self._standing.here(), held) if held is not None else None
+        if request is None or len(self._flights):
+            return None
+        try:
+            answer = self._central.countersign(request)
+        except Refused:
+            self._countersigning.gave_up()
+            raise
+        self._countersigning.take(answer)
+        self._contact.answered()
+        return Step("countersigned")
+
+    def _launch(self, works: Sequence[Work], at: float) -> Step:
+        """Send the first segments of these works."""
+        parcel = self._outbox.fill([work.gap for work in works], self._capacity(works[0].entry))
+        if not parcel.records:
+            return Step("sending")  # the gap was filled by another reader: look again
+        entries = self._standing.planned
+        sizes: dict[Entry, int] = {}
+        for filled in parcel.filled:
+            entry = entries[filled.key].entry
+            sizes[entry] = sizes.get(entry, 0) + filled.size
+        self._caps.sent(sizes, at)
+        self._share.sent(parcel.size, was_live=works[0].is_live)
+        self._standing.launched(parcel.filled)
+        self._state = "sending"
+        self._flights.launch(parcel)
+        landed = self._flights.landed() if self._pace.in_flight == 1 else None
+        return Step("sending") if landed is None else self._land(landed)
+
+    def _capacity(self, entry: Entry) -> Capacity:
+        """What the next request may hold: what the link, or the cap on the entry, carries in the latency."""
+        capped = self._caps.bytes_in(entry, self._pace.latency_s)
+        wanted = self._sizer.size if capped is None else min(self._sizer.size, capped)
+        return Capacity(min(wanted, self._terms.body_bytes_max), self._terms.body_bytes_max, self._terms.segments_max)
+
+    def _wait_for_landing(self) -> None:
+        self._flights.wait(_LANDING_S)
+
+    def _land(self, landed: Landed) -> Step:
+        """Take in what became of a request."""
+        if self._standing.runs is None:
+            return Step("sending")  # something failed since it was sent: hello will tell
+        if isinstance(landed.answer, BaseException):
+            raise landed.answer
+        told = _told(landed.answer.cursors)
+        for each in landed.parcel.filled:
+            if not are_held(told.get(each.key, ()), each.after.sequence, each.end):
                 raise BadAnswer(
-                    f"central at {self._central.address} acknowledged segments of {key[0]} up to {end.sequence}, "
-                    "but names no cursor there"
+                    f"central at {self._central.address} acknowledged segments of {each.key.stream} up to "
+                    f"{each.end.sequence}, but names no cursor there"
                 )
-        self._turn += 1
-        for key in parcel.ends:
-            cursors[key] = stands[key]
-            self._doubts.pop(key, None)
-            self._turns[key] = self._turn
-        self._last_contact = self._now()
-        self._went_well()
+        self._standing.landed(told, self._flights.filled())
+        self._count(landed)
+        self._contact.answered()
+        self._contact.went_well()
+        parcel = landed.parcel
+        return Step("sent", segments=len(parcel.records), events=parcel.events, bytes=parcel.size)
 
-    def _queue(self, planned: list[tuple[int, StreamHead]], cursors: dict[StreamKey, StreamHead]) -> list[StreamHead]:
-        """The cursors of the streams with a backlog, in the order in which they are served."""
-        waiting = []
-        for priority, head in planned:
-            key = key_of(head)
-            if key in self._stopped:
-                continue
-            if head.epoch < self._log.epoch and cursors[key].sequence > head.sequence:
-                continue  # of before a restore: central has what came after the backup, and keeps it
-            check_heads(head, cursors[key])
-            if cursors[key].sequence < head.sequence:
-                waiting.append(((priority, self._turns.get(key, 0), head.stream, head.epoch), cursors[key]))
-        return [cursor for _, cursor in sorted(waiting, key=lambda each: each[0])]
-
-    def _planned(self) -> list[tuple[int, StreamHead]]:
-        """This station's streams that the plan sends, with their priority."""
-        planned = []
-        for head in self._log.streams():
-            if head.stream.station != self._station or not head.sequence:
-                continue
-            if head.stream not in self._priorities:
-                self._priorities[head.stream] = self._plan.priority_of(head.stream)
-            priority = self._priorities[head.stream]
-            if priority is not None:
-                planned.append((priority, head))
-        if len(planned) > STREAMS_MAX:
-            raise PlanError(f"the plan names {len(planned)} streams of this station, at most {STREAMS_MAX} can be sent")
-        return planned
-
-    def _went_well(self) -> None:
-        self._failures = 0
-        if not self._stopped:
-            self._last_error = None
+    def _count(self, landed: Landed) -> None:
+        parcel = landed.parcel
+        self._sizer.took(parcel.size, landed.seconds)
+        self._meter.took(parcel.size * (1 + len(self._flights)), landed.seconds)
+        for each in parcel.filled:
+            self._doubts.pop(each.key, None)
+            sent = self._sent.setdefault(each.key, _Sent(each.time_max))
+            sent.until = max(sent.until, each.time_max)
+            sent.size += each.size
+            sent.events += each.end.sequence - each.after.sequence
 
     def _failed(self, error: CentralError | PlanError | LogUnavailable) -> Step:
         """After a failure: forget what was believed of central, and pause."""
-        self._cursors = None
+        self._standing.doubt()
         self._outbox.forget()
-        self._failures += 1
-        self._last_error = str(error)
+        self._state = "waiting"
         if isinstance(error, Refused) and error.code == "false_header":
             self._stop_refused(error)
-        if isinstance(error, NotAuthorised | ProtocolMismatch | PlanError):
-            pause = self._pace.backoff_s_max  # Only a person can change that.
-        else:
-            pause = min(self._pace.backoff_s_max, self._pace.backoff_s * 2 ** min(self._failures - 1, 30))
-        return Step("failed", pause * (0.5 + self._random() / 2), error=error)
+        return Step("failed", self._contact.pause_after(error), error=error)
 
     def _doubted_or_stopped(self, error: StreamStopped) -> Step:
         """Stop the stream if two hellos lead to the same: one answer alone may have been damaged on its way."""
-        key = error.stream, error.epoch
+        key = StreamKey(error.stream, error.epoch)
         if self._doubts.get(key) != str(error):
             self._doubts[key] = str(error)
-            self._cursors = None
+            self._standing.doubt()
             self._outbox.forget()
             return Step("doubted", self._pace.backoff_s)
-        self._stopped[key] = error
-        self._last_error = str(error)
+        self._standing.stopped[key] = error
         return Step("stopped", error=error)
 
     def _stop_refused(self, error: Refused) -> None:
         """Stop the stream whose segment is refused for what it says, so that the others go on."""
         if error.stream is not None and error.epoch is not None:
             refused = SegmentRefused(error.stream, error.epoch, error.first_sequence or 0, str(error))
-            self._stopped[error.stream, error.epoch] = refused
+            self._standing.stopped[StreamKey(error.stream, error.epoch)] = refused
+
+
+@dataclass(slots=True)
+class _Sent:
+    """What this daemon has sent of a stream."""
+
+    until: datetime
+    size: int = 0
+    events: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class _Terms:
+    """What central said at the last hello."""
+
+    at: float = 0.0
+    """by the daemon's steady clock"""
+    named: frozenset[StreamKey] = frozenset()
+    body_bytes_max: int = 1
+    segments_max: int = 1
+    token_until: float | None = None
+
+    @classmethod
+    def of(cls, answer: HelloAnswer, at: float, named: set[StreamKey]) -> "_Terms":
+        """The terms that the answer says; a token is renewed before it ends."""
+        until = at + 0.9 * answer.token_expires_s if answer.token_expires_s else None
+        return cls(at, frozenset(named), answer.body_bytes_max, answer.segments_max, until)
+
+
+def _told(cursors: Sequence[Cursor]) -> dict[StreamKey, Runs]:
+    """What central holds, as it says.
+
+    Raises:
+        BadAnswer: It cannot be.
+    """
+    told = {cursor.key: tuple(map(RunState.run, cursor.runs)) for cursor in cursors}
+    for key, runs in told.items():
+        ends = [end for run in runs for end in (run.after, run.sequence)]
+        if any(low >= high for low, high in pairwise(ends)):
+            raise BadAnswer(f"what answers says that it holds events {ends} of {key.stream}, which do not ascend")
+    return told

@@ -22,9 +22,10 @@ from events import Draft, EventBatch, EventError, EventType, Position, Producer,
 from events.segment import draft_of, encode_payload
 from store import Checkpoint, Log, StreamHead
 from store.reading import DERIVE, Filter
+from sync.entries import Entry, base_of, derived_name
 from sync.errors import FilterFailed, PlanError
 from sync.filtering import Sieve, database, joined
-from sync.plan import Entry, Plan, base_of, derived_name
+from sync.plan import Plan
 from sync.planning import Planned, planned_in
 
 CHECKPOINT = DERIVE

@@ -14,6 +14,7 @@ SyncError
 │   ├── BadAnswer            the answer is not central's: a proxy's page, another server, cut off
 │   ├── NotAuthorised        the token is not granted, or not for this station
 │   ├── ProtocolMismatch     the two sides share no version of the protocol
+│   ├── SessionOver          the session's token is no longer good: say hello again
 │   └── Refused              central refused the request and said why
 └── StreamStopped        station: a stream that must not be sent further; the others go on
     ├── HeadsDisagree        central holds another history of the stream than this station
@@ -23,8 +24,8 @@ SyncError
 
 from dataclasses import dataclass
 
-from events import StreamName
-from sync.runs import Run, StreamKey
+from events import Run, StreamName
+from sync.runs import StreamKey
 
 
 class SyncError(Exception):
@@ -102,6 +103,10 @@ class NotAuthorised(CentralError):
 
 class ProtocolMismatch(CentralError):
     """The two sides share no version of the protocol."""
+
+
+class SessionOver(CentralError):
+    """The session is over, as sessions are after a while; a new hello begins another."""
 
 
 class Refused(CentralError):

@@ -12,9 +12,10 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from events import EventBatch, EventType, schema_of
+from sync.entries import Entry
 from sync.errors import FilterFailed, PlanError
-from sync.filters import Bound, WhereError, bind, parse
-from sync.plan import Entry
+from sync.filters import Bound, bind
+from sync.where import WhereError, parse
 
 _ROW = "row number"
 """Name of the column that numbers the rows; no field can bear it."""

@@ -7,31 +7,24 @@ from collections.abc import Iterable
 
 from events import Station
 from store import Log
-from sync.runs import Run, StreamKey
-
-_ZEROS = bytes(32)
+from sync.runs import Runs, StreamKey
 
 
-def held_of(log: Log, station: Station) -> dict[StreamKey, tuple[Run, ...]]:
+def held_of(log: Log, station: Station) -> dict[StreamKey, Runs]:
     """The runs of each of the station's streams in which the log holds events.
 
     Raises:
         LogUnavailable: The database is away.
     """
     return {
-        StreamKey(head.stream, head.epoch): (Run(0, _ZEROS, head.sequence, head.chain_hash),)
-        for head in log.streams()
-        if head.stream.station == station and head.sequence
+        StreamKey(*place): tuple(runs) for place, runs in log.all_runs().items() if place[0].station == station and runs
     }
 
 
-def runs_of(log: Log, keys: Iterable[StreamKey]) -> dict[StreamKey, tuple[Run, ...]]:
+def runs_of(log: Log, keys: Iterable[StreamKey]) -> dict[StreamKey, Runs]:
     """The runs of each of these streams; none where the log holds nothing of it.
 
     Raises:
         LogUnavailable: The database is away.
     """
-    heads = {key: log.stream_head(key.stream, epoch=key.epoch) for key in keys}
-    return {
-        key: (Run(0, _ZEROS, head.sequence, head.chain_hash),) if head.sequence else () for key, head in heads.items()
-    }
+    return {key: tuple(log.runs(key.stream, key.epoch)) for key in keys}

@@ -19,9 +19,10 @@ from store.sizes import Part, Size, sizes
 from sync.changes import Change, changes_of
 from sync.checking import warnings_of
 from sync.deriving import CHECKPOINT, SEGMENT_EVENTS
+from sync.entries import Entry, base_of, derived_name
 from sync.errors import FilterFailed, PlanError
 from sync.filtering import Sieve, database, joined
-from sync.plan import Entry, Plan, base_of, derived_name
+from sync.plan import Plan
 from sync.reports import Status
 
 SAMPLE_SEGMENTS = 16

@@ -25,9 +25,11 @@ from events import (
     encode,
     events_of,
 )
-from store import Log, StreamHead
+from store import Log, StreamHead, Transaction
 from store.payloads import Freed, Weight, may_leave, reclaim, take_off, weights
+from store.resealing import Resealer, streams_of
 from store.room import CREDIT, credit_state
+from store.sealed import SealedFile
 
 SOURCE = "sync"
 PRODUCER = Producer("pruner", "1", sha256(b"{}").digest())
@@ -35,6 +37,8 @@ SEGMENTS_MAX = 500
 """Most segments that one step takes off."""
 BYTES_MAX = 16 * 1024 * 1024
 """Most bytes of payload that one step takes off, but for a single larger one."""
+SHARE_MIN = 0.25
+"""A sealed file is written anew when at least this share of its payloads can go."""
 RECLAIM_BYTES = 128 * 1024 * 1024
 """Bytes taken off after which the log is let use their room, if there is more to come; it costs a pass over indexes."""
 
@@ -163,6 +167,10 @@ class Pruner:
         self._proof = Proof(log, station, is_signed)
         self._position = 0
         self._to_reclaim = 0
+        self._files: list[SealedFile] = []
+        """sealed files that are still to be looked at below the newest checkpoint"""
+        self._files_seen: dict[int, frozenset[Place]] = {}
+        """which streams of each sealed file could go when it was looked at, by its first position"""
 
     def step(self, now: datetime) -> bool:
         """Take off a bounded lot of what may go; whether there may be more.
@@ -173,7 +181,7 @@ class Pruner:
         lot = self._next(now)
         if lot is None:
             self._reclaim()
-            return False
+            return self._prune_sealed(now)
         if lot:
             self._to_reclaim += take_off_held(self._log, self._station, lot, self._proof.held, now).payload_bytes
         if self._to_reclaim >= RECLAIM_BYTES:
@@ -187,24 +195,66 @@ class Pruner:
         while (lot := self._next(now)) is not None:
             chosen += lot
         self._position = position
+        for file in self._files:
+            chosen += self._chosen(Resealer(self._log, file).weights())
         return spans_of(chosen)
 
     def _next(self, now: datetime) -> list[Weight] | None:
         """The next lot, which may be empty; None where nothing is left for now."""
         if self._proof.look():
             self._position = 0
+            self._files = list(self._old_files(now))
         page = weights(self._log, self._position, now - self._after, SEGMENTS_MAX) if self._proof.held.sequences else []
         if not page:
             return None
-        chosen = [each for each in page if may_leave(each.stream) and self._proof.held.holds(each)]
+        chosen = self._chosen(page)
         lot = bounded(chosen)
         self._position = lot[-1].position if len(lot) < len(chosen) else page[-1].position
         return lot
+
+    def _prune_sealed(self, now: datetime) -> bool:
+        """Take off the next sealed file what may go of it; whether there may be another."""
+        if not self._files:
+            return False
+        file = self._files.pop(0)
+        resealer = Resealer(self._log, file)
+        held_here = resealer.weights()
+        chosen = self._chosen(held_here)
+        if chosen and _size(chosen) >= _size(held_here) * SHARE_MIN:
+            events = pruned(chosen, self._proof.held, now)
+
+            def record(transaction: Transaction, _: Freed) -> None:
+                transaction.append([record_of(self._station, events)], from_reserve=True)
+
+            resealer.take_off({each.position for each in chosen}, record)
+        return True
+
+    def _old_files(self, now: datetime) -> Iterator[SealedFile]:
+        """The sealed files that are old enough and of which more may go than when they were looked at last."""
+        for file in self._log.archive.files() if self._proof.held.sequences else ():
+            if file.sealed_at >= now - self._after:
+                return
+            may_go = frozenset(
+                (each.stream, each.epoch)
+                for each in streams_of(self._log, file)
+                if may_leave(each.stream)
+                and each.last_sequence <= self._proof.held.sequences.get((each.stream, each.epoch), 0)
+            )
+            if may_go - self._files_seen.get(file.first_position, frozenset()):
+                self._files_seen[file.first_position] = may_go
+                yield file
+
+    def _chosen(self, given: Iterable[Weight]) -> list[Weight]:
+        return [each for each in given if may_leave(each.stream) and self._proof.held.holds(each)]
 
     def _reclaim(self) -> None:
         if self._to_reclaim:
             reclaim(self._log)
             self._to_reclaim = 0
+
+
+def _size(chosen: Iterable[Weight]) -> int:
+    return sum(each.payload_bytes for each in chosen)
 
 
 def bounded(chosen: Sequence[Weight]) -> list[Weight]:
@@ -223,7 +273,12 @@ def take_off_held(
     log: Log, station: Station, lot: Sequence[Weight], held: Held, now: datetime, *, credit: int | None = None
 ) -> Freed:
     """Take off what central holds, and record it; see `take_off_recorded`."""
-    events = [
+    return take_off_recorded(log, station, lot, pruned(lot, held, now), credit=credit)
+
+
+def pruned(lot: Sequence[Weight], held: Held, now: datetime) -> list[SegmentsPruned]:
+    """What is said of a lot that goes because central holds it."""
+    return [
         SegmentsPruned(
             time=now,
             stream=str(span.stream),
@@ -236,7 +291,6 @@ def take_off_held(
         )
         for span in spans_of(lot)
     ]
-    return take_off_recorded(log, station, lot, events, credit=credit)
 
 
 def take_off_recorded(

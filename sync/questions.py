@@ -99,7 +99,7 @@ class Answer(Message):
     cut: Text | None = None
     """which limit cut the answer short; null where it is whole"""
     position: Annotated[int, Field(ge=0)]
-    """newest segment of central's log"""
+    """newest segment of central's log, but for the record of questions"""
     rows_position: Annotated[int, Field(ge=0)]
     """newest segment of which the rows answer"""
 

@@ -8,21 +8,29 @@ never changes what was recorded; it brings it back, or fails and says why. What 
 A repair does one segment, or one row of damaged neighbours, a step.
 """
 
+import json
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from hashlib import sha256
+from typing import Annotated
+
+from pydantic import Field
 
 from events import Draft, Producer, Segment, SegmentsRepaired, Station, StreamName, batch_of, encode
 from store import BadRequest, ChainBroken, Log, SealedFileDamaged, verify
 from store.payloads import next_position, place_at, put_back, repair
 from store.walk import pages
-from sync.errors import Refusal, SyncError
-from sync.wire import Range, Record, encode_records, record_size
+from sync.errors import Refusal, SyncError, WireError
+from sync.wire import Message, Range, Record, decode_records, encode_records, record_size
 
 PRODUCER = Producer("repairer", "1", sha256(b"{}").digest())
 NEIGHBOURS_MAX = 100
 """Most damaged neighbours that are repaired together."""
+RANGE_BYTES_MAX = 4096
+"""Most bytes of a question for a range."""
+WANTED_MAX = 1000
+"""Most segments that are asked of stations at a time."""
 _GENESIS = bytes(32)
 
 Fetch = Callable[[Range], Sequence[Segment]]
@@ -268,3 +276,87 @@ def _records(log: Log, stream: StreamName, wanted: Range) -> Iterator[Record]:
         if segment.header.last_sequence >= wanted.first_sequence and segment.is_payload_whole:
             yield Record(segment, previous)
         previous = segment.chain_hash
+
+
+class Wanted:
+    """What a log wants back from the stations whose streams are damaged in it; asked at their next hello.
+
+    Contract: kept in the log's database, so that whoever finds the damage need not be who answers the stations. What
+    was put back is forgotten; asking again for the same changes nothing.
+    """
+
+    _NAME = "repair"
+
+    def __init__(self, log: Log) -> None:
+        self._log = log
+
+    def ask(self, damages: Sequence[Damage]) -> None:
+        """Want these back."""
+        with self._log.transaction() as transaction:
+            kept = _damages(transaction.checkpoint(self._NAME).state)
+            places = {each.position for each in damages}
+            kept = [*(each for each in kept if each.position not in places), *damages]
+            transaction.save_checkpoint(self._NAME, self._log.head(), _state(kept[:WANTED_MAX]))
+
+    def of(self, station: Station) -> list[Damage]:
+        """What is wanted of a station."""
+        kept = _damages(self._log.checkpoint(self._NAME).state)
+        return [each for each in kept if each.stream.station == station]
+
+    def take(self, own: Station, station: Station, segments: Sequence[Segment], now: Callable[[], datetime]) -> int:
+        """Put back what of a station's segments is wanted; how many were put back.
+
+        Args:
+            own: The station whose log this is: it records the repair.
+            station: Who sent them.
+            segments: What it sent, not believed.
+            now: The clock.
+
+        Raises:
+            LogUnavailable: The database is away, or the account may not.
+        """
+        repairer = Repairer(self._log, own, lambda _: segments, str(station), now)
+        done = [repairer.repair(damage) for damage in self.of(station)]
+        mended = {each.damage.position for each in done if each.segments}
+        with self._log.transaction() as transaction:
+            kept = _damages(transaction.checkpoint(self._NAME).state)
+            left = [each for each in kept if each.position not in mended]
+            transaction.save_checkpoint(self._NAME, self._log.head(), _state(left))
+        return sum(each.segments for each in done)
+
+
+class RepairAnswer(Message):
+    """What central put back of what a station sent again."""
+
+    repaired: Annotated[int, Field(ge=0)]
+    """segments"""
+
+
+def repair_with(
+    log: Log, own: Station, station: Station, body: bytes, *, segments_max: int, now: Callable[[], datetime]
+) -> int:
+    """Put back what a body of records of a station holds of what is wanted; how many segments were put back.
+
+    Raises:
+        Refusal: The body holds no records.
+        LogUnavailable: The database is away, or the account may not.
+    """
+    try:
+        records = decode_records(body, bytes_max=len(body), segments_max=segments_max)
+    except WireError as error:
+        raise Refusal(
+            400, "bad_body", "the body does not hold segments", str(error), "whole segment records", "send it again"
+        ) from error
+    return Wanted(log).take(own, station, [record.segment for record in records], now)
+
+
+def _state(damages: Sequence[Damage]) -> bytes:
+    rows = [
+        [each.position, str(each.stream), each.epoch, each.first_sequence, each.last_sequence, each.reason]
+        for each in damages
+    ]
+    return json.dumps(rows).encode()
+
+
+def _damages(state: bytes) -> list[Damage]:
+    return [Damage(position, StreamName.parse(stream), *rest) for position, stream, *rest in json.loads(state or b"[]")]

@@ -25,14 +25,22 @@ State = Literal["starting", "sending", "caught_up", "paused", "waiting"]
 class Pace:
     """How much at a time, and how long between."""
 
-    request_bytes: int = 256 * 1024
-    """Bytes of segments in one request; a single larger segment goes alone."""
+    request_bytes: int = 2 * 1024 * 1024
+    """Most bytes of segments in one request; a single larger segment goes alone."""
+    request_bytes_min: int = 16 * 1024
+    """Bytes of segments in the first request, and however slow the link is."""
+    latency_s: float = 0.3
+    """How long a request should take: what is live waits about so long at most for one that is under way."""
+    in_flight: int = 1
+    """Requests with segments that are under way at once."""
     backoff_s: float = 0.5
     """Pause after the first failure; it doubles with each further one."""
     backoff_s_max: float = 60.0
     """Longest pause after a failure."""
     idle_s: float = 60.0
     """Longest sleep when there is nothing to do; a new segment ends it."""
+    hello_s: float = 900.0
+    """Time without an answer of central's after which an idle daemon says hello, to see whether all is well."""
 
 
 class Chore(Protocol):
@@ -54,7 +62,10 @@ class Chore(Protocol):
 class Step:
     """What one step did."""
 
-    did: Literal["planned", "hello", "sent", "countersigned", "chore", "nothing", "doubted", "stopped", "failed"]
+    did: Literal[
+        "planned", "hello", "sending", "sent", "countersigned", "chore", "nothing", "doubted", "stopped", "failed"
+    ]
+    """`sending`: something is under way; `sent`: it was acknowledged."""
     sleep_s: float = 0.0
     """How long nothing needs to be done, unless the log grows."""
     segments: int = 0

@@ -23,6 +23,7 @@ from events import (
     CorruptSegment,
     InvalidName,
     Position,
+    Run,
     Segment,
     StreamName,
     header_bytes,
@@ -31,7 +32,7 @@ from events import (
 )
 from events.segment import PAYLOAD_MAX_BYTES, microseconds
 from sync.errors import ProtocolMismatch, WireError
-from sync.runs import Run, StreamKey
+from sync.runs import StreamKey
 
 PROTOCOL = 2
 PROTOCOLS = (PROTOCOL,)
@@ -65,7 +66,9 @@ CURSORS_MAX = 50_000
 RUNS_MAX = 100
 """Most runs of one stream at central that a station makes."""
 HELLO_BYTES_MAX = 4 * 1024 * 1024
-ANSWER_BYTES_MAX = 32 * 1024 * 1024
+HELLO_ANSWER_BYTES_MAX = 32 * 1024 * 1024
+ANSWER_BYTES_MAX = 8 * 1024 * 1024
+CHALLENGE_BYTES_MAX = 64 * 1024
 
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _TEXT_MAX = 4000

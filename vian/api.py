@@ -6,7 +6,7 @@ Contract: `create_app` builds it from what it is given; it holds no state of its
 import socket
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from typing import Any
 
 import uvicorn
@@ -15,7 +15,7 @@ from fastapi.responses import JSONResponse
 
 from store import Log, LogUnavailable
 from sync.access import Access
-from sync.central import Answers, router
+from sync.central import Answers, Storing, router
 from sync.grants import Grantor
 from sync.problems import Note
 from vian.errors import WorldFailed
@@ -33,6 +33,7 @@ def create_app(
     access: Access | None = None,
     answers: Answers | None = None,
     note: Note = lambda kind, got: None,
+    while_storing: Storing = nullcontext,
 ) -> FastAPI:
     """The application over a log; with grants or access it takes stations' segments.
 
@@ -42,6 +43,7 @@ def create_app(
         access: Which stations are enrolled, for version 2.
         answers: Answers enrolled stations' questions.
         note: Told of each request of a station that is refused.
+        while_storing: Entered while segments are stored.
     """
     # The pages of documentation that FastAPI would serve need a CDN; the schema itself is served.
     app = FastAPI(title="ViAn", version=VERSION, docs_url=None, redoc_url=None)
@@ -60,7 +62,7 @@ def create_app(
             return JSONResponse({"status": "the database is away", "version": VERSION}, status_code=503)
 
     if grants is not None or access is not None:
-        app.include_router(router(log, grants, access=access, answers=answers, note=note))
+        app.include_router(router(log, grants, access=access, answers=answers, note=note, while_storing=while_storing))
     return app
 
 

@@ -44,6 +44,7 @@ MODULES = {
     "station": "station",
     "evidence": "evidence",
     "archive": "archive",
+    "prune": "prune",
     "backup": "backup",
     "restore": "backup",
     "upgrade": "upgrade",

@@ -121,10 +121,23 @@ class Settings(BaseSettings):
     database_wait_s: Annotated[float, Field(ge=0)] = 60.0
     """how long an append waits for a database that is away, in seconds"""
     disk_free_mb_min: Annotated[int, Field(ge=0)] = 256
-    """what must stay free on an embedded log's disk, in MiB: below, what the plan gives up goes, or recording stops;
-    0: never"""
+    """what must stay free on an embedded log's disk, in MiB: else what the plan gives up goes, or recording stops"""
     prune_after_days: Annotated[float, Field(ge=0)] | None = None
     """age in days at which payloads that central countersigned leave this station's disk; never by default"""
+    question_s: Annotated[float, Field(gt=0, le=45)] = 10.0
+    """central server: longest time that a question from the field may take, in seconds; stations wait for 60"""
+    question_rows_max: Annotated[int, Field(ge=1, le=10_000)] = 1_000
+    """central server: most rows of an answer, or of a page of one"""
+    question_answer_kb: Annotated[int, Field(ge=1, le=3_072)] = 2_048
+    """central server: most that the rows of an answer may take, in kB; a row at most an eighth of it"""
+    question_memory_mb: Annotated[int, Field(ge=1)] = 16
+    """central server: memory of each sort or hash table of a question in PostgreSQL, in MB"""
+    question_disk_mb: Annotated[int, Field(ge=1)] = 256
+    """central server: what a question may put on PostgreSQL's disk meanwhile, in MB, where its owner may bound that"""
+    questions_of_station_max: Annotated[int, Field(ge=1, le=8)] = 2
+    """central server: questions of one station at a time"""
+    questions_at_once_max: Annotated[int, Field(ge=1, le=8)] = 4
+    """central server: questions of all stations at a time; each takes one of the log's 10 connections"""
 
     rows_keep_days: Annotated[int, Field(ge=1)] | None = None
     """age in days at which a day's rows are dropped, by event time; never by default. Events stay in the log"""
@@ -136,6 +149,9 @@ class Settings(BaseSettings):
     """a day of rows gets its index for tracks and cameras so long after its end and its newest row, in hours"""
     rows_upkeep_s: Annotated[float, Field(ge=1, le=86400)] = 300.0
     """`vian serve` sees to the row tables (retention, partitions, closed days) this often, in seconds"""
+
+    rows_wait_s: Annotated[float, Field(ge=0, le=3600)] = 10.0
+    """`vian serve` lets rows wait so long while it stores what stations send as fast as they can, in seconds; 0: not"""
 
     @classmethod
     def settings_customise_sources(

@@ -21,6 +21,7 @@ from fastapi import FastAPI
 from events import StreamName, station_name
 from store import Appender, Log, LogUnavailable, StoreError
 from sync import Daemon, Grants, Limits, Pace, Plan, Step, router, token_hash
+from sync.client_v1 import CentralV1
 from tests.faults.load import WAIT_S, frames, opened, persistently
 from tests.store.samples import NOON, PRODUCER
 
@@ -79,8 +80,7 @@ def sync_until_killed(data_dir: Path, port: int, seed: int, say: Connection) -> 
                 log,
                 STATION,
                 Plan.of({"entries": [{"stream": "*/*/*"}]}),
-                client,
-                token=TOKEN,
+                CentralV1(client, TOKEN),
                 now=lambda: clock(data_dir / "clock"),
                 random=random.Random(seed).random,
                 pace=PACE,

@@ -1,7 +1,7 @@
 """A central log with plates and situations of three stations, and who asks of it."""
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from datetime import timedelta
 from typing import Any
 
@@ -73,10 +73,8 @@ def caller(*reads: str, station: str = "brno-2", operations: Sequence[str] = OPE
 EVERYBODY = caller(EVERY_STATION)
 
 
-def answering(
-    log: Log, limits: QuestionLimits | None = None, monotonic: Callable[[], float] = time.monotonic
-) -> Answering:
-    return Answering(log, CENTRAL, Pages(SECRET), limits or QuestionLimits(), lambda: NOON, monotonic)
+def answering(log: Log, limits: QuestionLimits | None = None, **given: Any) -> Answering:
+    return Answering(log, CENTRAL, Pages(SECRET), limits or QuestionLimits(), lambda: NOON, time.monotonic, **given)
 
 
 def query(log: Log, sql: str, who: Caller = EVERYBODY, limits: QuestionLimits | None = None, **given: Any) -> Answer:

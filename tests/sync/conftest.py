@@ -4,21 +4,31 @@ One uvicorn serves the session; each test's application hangs under a path of it
 proxy. Each log is a database of its own.
 """
 
+import json
 import random
 import socket
 import threading
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
-from typing import Any
+from typing import Annotated, Any
 
 import httpx
 import pytest
 import uvicorn
-from fastapi import FastAPI
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+from fastapi import APIRouter, Depends, FastAPI, Header, Request
 
 from events import Producer, Segment, Station, StreamName, TrackPoint, batch_of, encode, station_name
-from store import Log
-from sync import Daemon, Grants, Limits, Pace, Plan, router, token_hash
+from store import Log, StationKey
+from sync import Daemon, Grants, Limits, Pace, Plan, WireError, router, token_hash
+from sync.apply import answer_hello_2, apply_2
+from sync.client import Central
+from sync.client_v1 import CentralV1
+from sync.countersigning import countersign
+from sync.problems import cursors_2, problem_route
+from sync.turns import Turns
+from sync.wire import Challenge, Countersigned, HelloAnswer, SegmentsAnswer, decode_records
 
 BRNO = station_name("brno-2")
 TOKEN = "a-token-of-brno-2-that-nobody-guesses"
@@ -205,7 +215,55 @@ def serve(switchboard: tuple[str, Switchboard]) -> Serve:
 def central_app(log: Log, grants: Grants = GRANTS, limits: Limits | None = None) -> FastAPI:
     app = FastAPI()
     app.include_router(router(log, grants, limits, now=lambda: NOON + timedelta(seconds=3)))
+    app.include_router(unsigned(log, limits or Limits()))
     return app
+
+
+@dataclass(frozen=True)
+class Speaker:
+    station: Station
+
+
+CENTRAL_KEY = StationKey(Ed25519PrivateKey.generate())
+
+
+def unsigned(log: Log, limits: Limits) -> APIRouter:
+    """Protocol 2 without signatures: who speaks is believed."""
+    api = APIRouter(prefix="/sync/v2", route_class=problem_route(lambda kind, got: None, cursors_2))
+    most = {"body_bytes_max": limits.body_bytes_max, "segments_max": limits.segments_max}
+    turns = Turns()
+
+    async def body_of(request: Request) -> bytes:
+        return await request.body()
+
+    Body = Annotated[bytes, Depends(body_of)]
+
+    @api.post("/challenge")
+    def challenge(body: Body) -> Challenge:
+        return Challenge(challenge="c", central="none", expires_s=60)
+
+    @api.post("/hello")
+    def hello(body: Body) -> HelloAnswer:
+        speaker = Speaker(
+            Station(json.loads(body)["station"]) if body.startswith(b"{") and body.endswith(b"}") else BRNO
+        )
+        return answer_hello_2(log, speaker, body, **most, now=lambda: NOON + timedelta(seconds=3))
+
+    @api.post("/segments")
+    def segments(
+        body: Body, vian_order: Annotated[str, Header()] = "", vian_follows: Annotated[str, Header()] = ""
+    ) -> SegmentsAnswer:
+        try:
+            station = decode_records(body)[0].segment.stream.station
+        except WireError:
+            station = BRNO
+        return apply_2(log, Speaker(station), body, **most, turns=turns, order=vian_order, follows=vian_follows)
+
+    @api.post("/countersign")
+    def countersigned(body: Body) -> Countersigned:
+        return countersign(log, BRNO, body, CENTRAL_KEY, NOON)
+
+    return api
 
 
 @pytest.fixture
@@ -244,6 +302,7 @@ def make_daemon(station_log: Log, faults: Faults, request: pytest.FixtureRequest
         station: Station = BRNO,
         token: str = TOKEN,
         pace: Pace | None = None,
+        protocol: int = 2,
     ) -> Daemon:
         base_url = address or request.getfixturevalue("central")
         clients.append(httpx.Client(base_url=base_url, transport=faults))
@@ -251,8 +310,7 @@ def make_daemon(station_log: Log, faults: Faults, request: pytest.FixtureRequest
             log,
             station,
             plan,
-            clients[-1],
-            token=token,
+            CentralV1(clients[-1], token) if protocol == 1 else Central(clients[-1], None),
             now=lambda: NOON,
             random=random.Random(1).random,
             pace=pace or Pace(backoff_s=0.001, backoff_s_max=0.01),

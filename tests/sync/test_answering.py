@@ -182,7 +182,7 @@ def test_an_answer_says_its_columns_and_how_far_the_rows_go(central: Log) -> Non
     assert answer.position == answer.rows_position == 6
     tell(central, "brno-2", [plate("NEW", 9)])
     answer = query(central, "select count(*) as n from plate_read")
-    assert (answer.position, answer.rows_position) == (8, 6)  # the new segment, and the record of the first question
+    assert (answer.position, answer.rows_position) == (8, 6)  # behind the record of the first question
 
 
 def test_an_answer_ends_at_its_limits_and_says_so(central: Log) -> None:
@@ -229,7 +229,7 @@ def test_a_question_ends_when_its_time_is_up(central: Log) -> None:
 def test_the_time_is_that_of_the_whole_question(central: Log) -> None:
     clock = iter([0.0, 0.0, 1.0, 2.0, 3.0])
     with field_session(central, None, Cost(seconds=2.5), lambda: next(clock)) as session:
-        lines = session.lines("select plate from field_plate_read", 1, bytes_max=100, batch=2)
+        lines = session.lines("select plate from field_plate_read", 1, rows_max=9, bytes_max=100, batch=2)
         assert [next(lines), next(lines)] == ['["0AB 23-40"]', '["0AB 23-41"]']
         with pytest.raises(QuestionTooDear, match=r"longer than 2\.5 s"):
             list(lines)
@@ -238,7 +238,7 @@ def test_the_time_is_that_of_the_whole_question(central: Log) -> None:
 def test_a_question_is_bounded_on_the_servers_disk(central: Log) -> None:
     cost = Cost(memory_mb=1, disk_mb=1)
     with field_session(central, None, cost) as session, pytest.raises(QuestionTooDear, match="temp_file_limit"):
-        list(session.lines("select count(*) from generate_series(1, 1000000)", 1, bytes_max=100))
+        list(session.lines("select count(*) from generate_series(1, 1000000)", 1, rows_max=9, bytes_max=100))
 
 
 def test_a_session_leaves_nothing_behind(central: Log) -> None:
@@ -288,8 +288,20 @@ def test_an_answer_that_cannot_be_recorded_is_not_given(central: Log, monkeypatc
 
     desk = answering(central)
     monkeypatch.setattr(central, "append", unavailable)
+    monkeypatch.setattr(central, "transaction", unavailable)
     with pytest.raises(LogUnavailable, match="gone"):
         desk.query(EVERYBODY, QueryQuestion(sql="select 1 as one").encoded())
+
+
+def test_who_is_shut_out_while_a_question_is_answered_gets_no_answer(central: Log) -> None:
+    def shut_out(_: Any, who: Any) -> None:
+        raise Refusal(401, "revoked", "the station was revoked", who.station, "an enrolled station", "ask central")
+
+    desk = answering(central, still_allowed=shut_out)
+    with pytest.raises(Refusal, match="revoked"):
+        desk.query(EVERYBODY, QueryQuestion(sql="select plate from plate_read").encoded())
+    (event,) = audit(central)
+    assert (event.outcome, event.row_count, event.reason) == ("refused", 0, "revoked: brno-2")
 
 
 def test_a_body_that_is_no_question_is_refused(central_log: Log) -> None:
@@ -306,15 +318,15 @@ def held(central: Log) -> Iterator[tuple[Answering, threading.Event, list[thread
     """Central while a question of brno-2 is being answered; the event lets it end."""
     going, end = threading.Event(), threading.Event()
     desk = answering(central, QuestionLimits(of_station_max=1, at_once_max=2))
-    stations = desk._log.head
+    look = desk._told
 
-    def slow() -> int:
+    def slow(*given: Any) -> Any:
         if threading.current_thread() is not threading.main_thread():
             going.set()
             assert end.wait(60)
-        return stations()
+        return look(*given)
 
-    desk._log.head = slow  # type: ignore[method-assign]
+    desk._told = slow  # type: ignore[method-assign]
     thread = threading.Thread(target=desk.query, args=(EVERYBODY, QueryQuestion(sql="select 1 as one").encoded()))
     thread.start()
     assert going.wait(60)

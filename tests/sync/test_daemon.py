@@ -70,11 +70,15 @@ def test_an_idle_daemon_sends_nothing(daemon: Daemon, faults: Faults) -> None:
     assert len(faults.exchanges) == exchanges
 
 
-def test_a_new_stream_is_asked_for_before_it_is_sent(station_log: Log, central_log: Log, daemon: Daemon) -> None:
+@pytest.mark.parametrize("protocol, wanted", [(2, ["sent", "nothing"]), (1, ["hello", "sent", "nothing"])])
+def test_a_new_stream_is_asked_for_where_hello_tells_of_named_streams_only(
+    protocol: int, wanted: list[str], station_log: Log, central_log: Log, make_daemon: MakeDaemon
+) -> None:
+    daemon = make_daemon(protocol=protocol)
     daemon.catch_up()
     append_points(station_log, stream_of("yard"), [2])
 
-    assert steps(daemon, 3) == ["hello", "sent", "nothing"]
+    assert steps(daemon, len(wanted)) == wanted
     assert stored(central_log) == stored(station_log)
 
 
@@ -93,23 +97,22 @@ def test_a_plan_is_logged_once_for_each_change(station_log: Log, make_daemon: Ma
     }
 
 
-def test_a_plan_event_that_does_not_read_is_followed_by_one_that_does(
-    station_log: Log, make_daemon: MakeDaemon
-) -> None:
+def test_a_plan_event_that_does_not_read_is_told_and_nothing_is_sent(station_log: Log, make_daemon: MakeDaemon) -> None:
     payload = b"of a newer ViAn"
     station_log.append([Draft(PLANNED, 1, 99, NOON, NOON, PRODUCER, payload, hashlib.sha256(payload).digest())])
 
-    for _ in range(2):
-        make_daemon().step()
+    step = make_daemon().step()
 
-    assert station_log.stream_head(PLANNED).sequence == 2
+    assert isinstance(step.error, PlanError)
+    assert "does not read here" in str(step.error)
+    assert station_log.stream_head(PLANNED).sequence == 1
 
 
 def test_more_streams_than_a_hello_can_name_are_told(
     station_log: Log, make_daemon: MakeDaemon, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     append_points(station_log, stream_of(), [1])
-    monkeypatch.setattr("sync.daemon.STREAMS_MAX", 1)
+    monkeypatch.setattr("sync.standing.STREAMS_MAX", 1)
 
     with pytest.raises(PlanError, match=r"the plan names 2 streams of this station, at most 1 can be sent"):
         make_daemon().catch_up()

@@ -22,6 +22,7 @@ from sync import (
     Refused,
     Step,
 )
+from sync.client_v1 import CentralV1
 from tests.sync.conftest import (
     BRNO,
     EVERYTHING,
@@ -43,7 +44,7 @@ def steps(daemon: Daemon, count: int) -> list[str]:
 
 
 def test_a_wrong_token_is_told_with_the_next_command_and_tried_again_slowly(make_daemon: MakeDaemon) -> None:
-    daemon = make_daemon(token="not-the-token-of-anybody", pace=Pace(backoff_s=1, backoff_s_max=60))
+    daemon = make_daemon(protocol=1, token="not-the-token-of-anybody", pace=Pace(backoff_s=1, backoff_s_max=60))
     daemon.step()
 
     step = daemon.step()
@@ -57,7 +58,7 @@ def test_a_wrong_token_is_told_with_the_next_command_and_tried_again_slowly(make
 
 
 def test_the_token_of_another_station_is_refused(central_log: Log, make_daemon: MakeDaemon) -> None:
-    daemon = make_daemon(token=OTHER_TOKEN)
+    daemon = make_daemon(protocol=1, token=OTHER_TOKEN)
 
     with pytest.raises(NotAuthorised, match=r"got station brno-2, wanted station oslo-1"):
         daemon.catch_up()
@@ -111,13 +112,12 @@ def test_a_page_of_a_proxy_is_told_as_such(daemon: Daemon, faults: Faults) -> No
         (Response("<h1>Request Entity Too Large</h1>", 413), BadAnswer, "client_max_body_size"),
         (Response("Basic realm", 401), NotAuthorised, "Authorization header"),
         (Response('{"detail":"Not Found"}', 404), BadAnswer, "Not Found"),
-        (Response("x" * 5_000_000, 200), BadAnswer, "more than 4194304 bytes"),
+        (Response("x" * 5_000_000, 200), BadAnswer, "more than 65536 bytes"),
         (Response("\x1b[2Jevil\r\n" + "y" * 900, 400), BadAnswer, "?[2Jevil yyy"),
-        (Response('{"protocol": 9, "new": "shape"}', 200), ProtocolMismatch, "version 1 is spoken here, got version 9"),
         (
             Response('{"code":"protocol_version","error":"e","got":"g","wanted":"w","next":"upgrade"}', 400),
             ProtocolMismatch,
-            "This station speaks version 1",
+            "This station speaks version 2",
         ),
     ],
 )
@@ -125,7 +125,7 @@ def test_what_is_not_centrals_answer_is_named(
     answer: Response, error: type[Exception], words: str, make_daemon: MakeDaemon, serve: Serve
 ) -> None:
     app = FastAPI()
-    app.post("/sync/v1/hello")(lambda: answer)
+    app.post("/sync/v2/challenge")(lambda: answer)
     daemon = make_daemon(address=serve(app))
     daemon.step()
 
@@ -150,7 +150,15 @@ def test_a_hello_without_all_cursors_is_no_answer(make_daemon: MakeDaemon, serve
     app.post("/sync/v1/hello")(lambda: answer)
 
     with pytest.raises(BadAnswer, match=r"no cursor for brno-2/sync/sync_planned"):
-        make_daemon(address=serve(app)).catch_up()
+        make_daemon(address=serve(app), protocol=1).catch_up()
+
+
+def test_another_version_in_an_answer_of_protocol_1_is_told(make_daemon: MakeDaemon, serve: Serve) -> None:
+    app = FastAPI()
+    app.post("/sync/v1/hello")(lambda: Response('{"protocol": 9, "new": "shape"}', 200))
+
+    with pytest.raises(ProtocolMismatch, match="version 1 is spoken here, got version 9"):
+        make_daemon(address=serve(app), protocol=1).catch_up()
 
 
 @pytest.mark.parametrize("answer", ['{"cursors":[],"stored":1,"duplicates":0}', '{"stored":1}'])
@@ -158,14 +166,13 @@ def test_an_acknowledgement_without_a_cursor_is_doubted(
     answer: str, central_log: Log, make_daemon: MakeDaemon, serve: Serve
 ) -> None:
     app = FastAPI()
-    app.post("/sync/v1/segments")(lambda: Response(answer, 200, media_type="application/json"))
+    app.post("/sync/v2/segments")(lambda: Response(answer, 200, media_type="application/json"))
     app.mount("/", central_app(central_log))
     daemon = make_daemon(address=serve(app))
     steps(daemon, 2)
 
     assert isinstance(daemon.step().error, BadAnswer)
-    assert daemon.status().streams[0].cursor is None  # what central holds is in doubt: hello again
-    assert daemon.step().did == "hello"
+    assert daemon.step().did == "hello"  # what central holds is in doubt
 
 
 def test_a_refusal_is_followed_by_a_hello(station_log: Log, central_log: Log, daemon: Daemon, faults: Faults) -> None:
@@ -261,7 +268,7 @@ def test_an_answer_that_was_damaged_on_its_way_stops_no_stream(
     async def damage_the_first(request: Request, call_next: Any) -> Response:
         answer = await call_next(request)
         body = b"".join([piece async for piece in answer.body_iterator])
-        answers.append(body)
+        answers.extend([body] if request.url.path.endswith("/hello") else [])
         return Response(re.sub(said, damaged, body) if len(answers) == 1 else body, answer.status_code)
 
     daemon = make_daemon(address=serve(app))
@@ -360,7 +367,7 @@ def test_the_stations_database_away_is_reported_and_survived(
         raise LogUnavailable("the database is away")
 
     with monkeypatch.context() as patch:
-        patch.setattr(station_log, "streams", away)
+        patch.setattr(station_log, "head", away)
         assert isinstance(daemon.step().error, LogUnavailable)
         patch.setattr(station_log, "revive", away)
         assert isinstance(daemon.step().error, LogUnavailable)
@@ -416,7 +423,7 @@ def test_a_client_that_times_out_is_reported(station_log: Log, make_daemon: Make
 def test_an_address_without_a_scheme_is_reported(station_log: Log, make_daemon: MakeDaemon) -> None:
     with httpx.Client(base_url="central.example") as client:
         daemon = Daemon(
-            station_log, BRNO, EVERYTHING, client, token="sixteen-letters-x", now=lambda: NOON, random=lambda: 0.5
+            station_log, BRNO, EVERYTHING, CentralV1(client, "sixteen-letters-x"), now=lambda: NOON, random=lambda: 0.5
         )
         with pytest.raises(CentralUnreachable, match=r"http://"):
             daemon.catch_up()

@@ -11,14 +11,14 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from events import Catalogue, EventType, PlateRead, StreamName, batch_of, decode, encode, events_of
-from store import Log, LogUnavailable
+from store import Log, LogUnavailable, verify
 from store.log import Transaction
 from sync import Plan
 from sync.deriving import Deriver
-from sync.plan import derived_name
-from sync.planning import set_plan
+from sync.entries import derived_name
+from sync.planning import plan_stream, set_plan
 from tests.store.tiered import seal_all
-from tests.sync.conftest import BRNO, NOON, PRODUCER, append_points, points, stream_of
+from tests.sync.conftest import BRNO, NOON, PRODUCER, MakeDaemon, append_points, points, stream_of
 
 MakeLog = Callable[..., Log]
 GATE, YARD = stream_of("gate"), stream_of("yard")
@@ -184,6 +184,25 @@ def test_who_reads_the_stations_log_gets_each_event_once_and_central_gets_what_w
     central = make_log()
     central.append([encode(name, batch_of(points(0, 3)), PRODUCER)])
     assert read(central) == [name]
+
+
+def test_central_gets_the_derived_stream_in_place_of_its_base(
+    station_log: Log, central_log: Log, make_daemon: MakeDaemon
+) -> None:
+    append_points(station_log, GATE, [50])
+    append_points(station_log, YARD, [5])
+    made = plan(station_log, filtered("track_id = 2"))
+    run(Deriver(station_log, BRNO))
+    make_daemon(plan=made).catch_up()
+    append_points(station_log, GATE, [50])
+    run(Deriver(station_log, BRNO))
+    make_daemon(plan=made).catch_up()
+
+    name = derived_name(GATE, made.entries[0])
+    assert frames(derived(central_log, made)) == [frame for frame in range(100) if frame % 7 == 1]
+    assert central_log.stream_head(name) == station_log.stream_head(name)
+    assert {head.stream for head in central_log.streams()} == {name, YARD, plan_stream(BRNO)}
+    assert verify(central_log).broken == []
 
 
 class Killed(Exception):

@@ -14,7 +14,8 @@ from events import Catalogue, EventBatch, EventType, PlateRead, TrackPoint, batc
 from sync import FilterFailed, Plan, PlanError
 from sync.checking import check_filters, covers, warnings_of
 from sync.filtering import Sieve, database, joined
-from sync.filters import WhereError, bind, parse
+from sync.filters import bind
+from sync.where import WhereError, parse
 from tests.sync.conftest import NOON, points
 
 CATALOGUE = Catalogue.shipped()

@@ -50,6 +50,13 @@ def test_now_becomes_the_time_at_which_the_entry_was_first_set(station_log: Log)
 HOUR = timedelta(hours=1)
 
 
+def test_now_stays_however_the_entry_is_spelled(station_log: Log) -> None:
+    entry = {"stream": "*/*/plate_read", "from": "now", "leave_out": ["region", "country"], "order": "oldest"}
+    for day in range(2):
+        planned = put(station_log, Plan.of({"entries": [entry]}), NOON + timedelta(days=day))
+    assert (planned.sequence, planned.plan.entries[0].since) == (1, NOON)
+
+
 def test_what_lies_ahead_of_the_clock_is_refused(station_log: Log) -> None:
     plan = Plan.of({"entries": [{"stream": "*/*/*", "from": (NOON + HOUR).isoformat()}]})
     with pytest.raises(PlanError, match=r"entries\[0\] \(\*/\*/\*\): from 2026-05-01T13:00:00Z lies ahead of this"):

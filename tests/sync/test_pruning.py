@@ -3,13 +3,15 @@
 import json
 from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
+from pathlib import Path
 
 import pytest
 
 from events import CheckpointCountersigned, SegmentsPruned, Station, StreamName, decode, events_of
-from store import Log, verify
+from store import Log, Sealer, StoreError, verify
 from sync.pruning import Pruner
-from tests.store.samples import GATE, NOON, YARD, append, draft_of, query
+from tests.store.samples import GATE, NOON, YARD, append, draft_of, owner, query
+from tests.store.tiered import seal_all
 
 BRNO = Station("brno")
 LATER = datetime.now(UTC) + timedelta(days=40)
@@ -153,3 +155,64 @@ def test_lots_are_bounded(log: Log, monkeypatch: pytest.MonkeyPatch, most: int) 
     assert whole(log, GATE) == [False] * 3
     assert [segments for *_, segments in pruned_of(log)] == ([1, 1, 1] if most == 1 else [2, 1])
     assert query(log, "select count(*) from segments where payload is null") == [(3,)]
+
+
+def test_of_sealed_files_what_central_holds_goes_too(log: Log, tmp_path: Path) -> None:
+    append(log, GATE, 30, 20)
+    append(log, YARD, 2, 40)
+    seal_all(log, tmp_path, file_bytes=1_000_000)
+    append(log, GATE, 10)
+    countersign(log, (GATE, 60))
+    before = list(log.read(YARD))
+    sizes = [file.bytes for file in log.archive.files()]
+    pruner = Pruner(log, BRNO, DAYS_30, signed)
+    outlook = [(each.stream, each.first_sequence, each.last_sequence) for each in pruner.outlook(LATER)]
+    assert outlook == [(GATE, 1, 60)]
+    run(pruner)
+    assert (whole(log, GATE), whole(log, YARD)) == ([False] * 3, [True] * 2)
+    assert list(log.read(YARD)) == before
+    assert pruned_of(log) == [(str(GATE), 51, 60, 1), (str(GATE), 1, 50, 2)]
+    found = verify(log, station="brno")
+    assert (found.is_sound, found.hollow) == (True, 3)
+    (file,) = log.archive.files()
+    assert file.bytes < sizes[0]
+    assert [path.name for path in (tmp_path / "_sealed").iterdir()] == [file.path.split("/")[1]]
+    countersign(log, (GATE, 60), (YARD, 42))
+    run(pruner)
+    assert whole(log, YARD) == [False] * 2
+    assert verify(log, station="brno").is_sound
+
+
+def test_who_reads_a_sealed_file_while_it_is_written_anew_goes_on(log: Log, tmp_path: Path) -> None:
+    append(log, GATE, *[5] * 8)
+    append(log, YARD, *[5] * 2)
+    seal_all(log, tmp_path, file_bytes=2_000)
+    countersign(log, (GATE, 40))
+    with Log(log.dsn, log.catalogue) as other:
+        reading = other.read(YARD)
+        next(reading)
+        waiting = other.read_all(types=["track_point"], with_hollow=True)
+        next(waiting)
+        run(Pruner(log, BRNO, DAYS_30, signed))
+        assert len(list(reading)) == 1
+        assert len(list(waiting)) == 9
+        assert verify(other, station="brno").is_sound
+
+
+@pytest.mark.parametrize("step", ["plan_resealing", "reseal_file", "forget_sealing"])
+def test_a_file_whose_rewriting_was_interrupted_is_whole_and_cleared_away(log: Log, tmp_path: Path, step: str) -> None:
+    append(log, GATE, 30, 20)
+    seal_all(log, tmp_path, file_bytes=1_000_000)
+    countersign(log, (GATE, 50))
+    with owner(log) as connection:
+        connection.execute(f"alter function {step} rename to {step}_away")  # type: ignore[call-overload]
+        with pytest.raises(StoreError):
+            run(Pruner(log, BRNO, DAYS_30, signed))
+        connection.execute(f"alter function {step}_away rename to {step}")  # type: ignore[call-overload]
+    assert verify(log, station="brno").is_sound
+    Sealer(log, str(tmp_path)).resume()
+    assert len(list((tmp_path / "_sealed").iterdir())) == 1
+    run(Pruner(log, BRNO, DAYS_30, signed))
+    found = verify(log, station="brno")
+    assert (found.is_sound, found.hollow) == (True, 2)
+    assert len(list((tmp_path / "_sealed").iterdir())) == 1

@@ -2,36 +2,51 @@
 
 import re
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
 from events import Catalogue
-from sync import LANES, Entry, Pace, Plan
+from sync import LANES, Entry, Pace, Plan, wire, wire_v1
 from sync.checking import check_filters
-from sync.filters import DEPTH_MAX, FUNCTIONS
-from sync.plan import HASH_DIGITS, WHERE_CHARACTERS_MAX, GiveUp
+from sync.entries import HASH_DIGITS, WHERE_CHARACTERS_MAX, GiveUp
 from sync.preview import SAMPLE_SEGMENTS
-from sync.wire import HEADER_BYTES_MAX, PAYLOAD_BYTES_MAX, RECORD_BYTES_MAX, SEGMENTS_MAX, STREAMS_MAX
-from sync.wire_v1 import PROTOCOL, Hello, HelloAnswer, Problem, SegmentsAnswer, StreamState
+from sync.where import DEPTH_MAX, FUNCTIONS
+from sync.wire import (
+    CURSORS_MAX,
+    HEADER_BYTES_MAX,
+    PAYLOAD_BYTES_MAX,
+    PROTOCOL,
+    RECORD_BYTES_MAX,
+    SEGMENTS_MAX,
+    STREAMS_MAX,
+    Message,
+)
 
 ROOT = Path(__file__).parents[2]
 TEXT = (ROOT / "docs/reference/sync.md").read_text(encoding="utf-8")
+TEXT_1 = (ROOT / "docs/reference/sync-1.md").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize(
-    "number", [HEADER_BYTES_MAX, PAYLOAD_BYTES_MAX, RECORD_BYTES_MAX, SEGMENTS_MAX, STREAMS_MAX], ids=str
+    "number",
+    [HEADER_BYTES_MAX, PAYLOAD_BYTES_MAX, RECORD_BYTES_MAX, SEGMENTS_MAX, STREAMS_MAX, CURSORS_MAX],
+    ids=str,
 )
 def test_each_limit_is_told(number: int) -> None:
     assert f"{number:,}" in TEXT
 
 
-def test_each_key_of_each_message_is_told() -> None:
-    for message in (StreamState, Hello, HelloAnswer, SegmentsAnswer, Problem):
-        assert [name for name in message.model_fields if f"`{name}`" not in TEXT] == []
+@pytest.mark.parametrize("module, text", [(wire, TEXT), (wire_v1, TEXT_1)], ids=["2", "1"])
+def test_each_key_of_each_message_is_told(module: ModuleType, text: str) -> None:
+    messages = [each for each in vars(module).values() if isinstance(each, type) and issubclass(each, Message)]
+
+    assert len(messages) >= 5
+    assert {name for message in messages for name in message.model_fields if f"`{name}`" not in text} == set()
 
 
 def test_each_problem_is_told() -> None:
-    names = ("access", "apply", "bodies", "central", "enrolment", "registry", "sessions", "unpacking")
+    names = ("access", "apply", "bodies", "central", "countersigning", "enrolment", "registry", "sessions", "unpacking")
     sources = "".join((ROOT / "sync" / f"{name}.py").read_text(encoding="utf-8") for name in names)
     refusals = re.findall(r'(?:Refusal\(\s*\d+,\s*|corrupt\(segment, |_no_code\(|code, first = )"(\w+)"', sources)
     codes = {*refusals, "false_header", "bad_header", "other_history", "other_bytes"}
@@ -61,5 +76,6 @@ def test_the_language_of_conditions_is_told() -> None:
 
 def test_version_and_pace_are_told() -> None:
     assert TEXT.startswith(f"# The sync protocol, version {PROTOCOL}\n")
-    assert f"{Pace().request_bytes // 1024} KiB" in TEXT
+    assert f"{Pace().request_bytes_min // 1024} KiB and {Pace().request_bytes // 1024} KiB" in TEXT
+    assert f"({Pace().latency_s} s)" in TEXT
     assert f"{Pace().backoff_s:g} s, doubles with each failure up to {Pace().backoff_s_max:g} s" in TEXT

@@ -13,6 +13,7 @@ import pytest
 from events import Draft, Segment
 from store import Log
 from sync import Daemon, Pace, Plan
+from sync.client_v1 import CentralV1
 from sync.wire_v1 import decode_records
 from tests.sync.conftest import BRNO, NOON, TOKEN, central_app, start_http
 from tests.sync.transcripts import Exchange, conversation
@@ -108,8 +109,7 @@ def _daemon(log: Log, client: httpx.Client, token: str) -> Daemon:
         log,
         BRNO,
         PLAN,
-        client,
-        token=token,
+        CentralV1(client, token),
         now=lambda: NOON,
         random=random.Random(1).random,
         pace=Pace(backoff_s=0.001, backoff_s_max=0.01),

@@ -1,17 +1,24 @@
 """Repair from the other side: what may come back, what may not, and what the log says of it."""
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 
+import httpx
 import psycopg
 import pytest
+from fastapi import FastAPI
 
 from events import Draft, Segment, SegmentsRepaired, Station, StreamName, decode, events_of
 from store import Log, verify
 from store.payloads import take_off
+from sync.access import Access
+from sync.central import router
 from sync.errors import CentralUnreachable, Refusal
-from sync.repair import Repaired, Repairer, hollow_payloads, records_for
-from sync.wire import Range, decode_records
+from sync.repair import Repaired, Repairer, Wanted, damaged_payloads, hollow_payloads, records_for
+from sync.wire import PATH, Range, decode_records
 from tests.store.samples import GATE, NOON, YARD, append, owner
+from tests.sync.conftest import Serve
+from tests.sync.test_access import CENTRAL_KEY, KEY, Sender, enrol
 
 BRNO = Station("brno")
 MAX = 1 << 26
@@ -214,3 +221,60 @@ def test_a_stream_by_any_other_name_is_not_taken(station: Log, central: Log) -> 
         take_off(transaction, [1])
     (damage,) = hollow_payloads(station, GATE, 1, 3)
     assert Repairer(station, BRNO, swapped, "central", lambda: NOON).repair(damage).segments == 0
+
+
+def test_what_a_log_wants_back_is_asked_until_it_was_put_back(station: Log, central: Log) -> None:
+    praha = Station("praha")
+    with owner(central) as connection:
+        connection.execute("set session_replication_role = replica")
+        connection.execute("update segments set payload = 'x' where position in (2, 6)")
+    wanted = Wanted(central)
+    for _ in range(2):
+        wanted.ask(list(damaged_payloads(central)))
+    asked = [each.wanted() for each in wanted.of(BRNO)]
+    assert [(each.stream, each.first_sequence, each.last_sequence) for each in asked] == [
+        (str(GATE), 4, 5),
+        (str(YARD), 3, 4),
+    ]
+    assert wanted.of(praha) == []
+    forged = [replace(each, payload=b"y") for each in fetching(station)(asked[1])]
+    assert wanted.take(praha, BRNO, forged, lambda: NOON) == 0
+    assert wanted.take(praha, BRNO, fetching(station)(asked[0]), lambda: NOON) == 1
+    assert [each.stream for each in wanted.of(BRNO)] == [YARD]
+    assert wanted.take(praha, BRNO, fetching(station)(asked[1]), lambda: NOON) == 1
+    assert wanted.of(BRNO) == []
+    assert verify(central, station="praha").is_sound
+    assert repairs(central) == [(str(GATE), 4, 5, 1, "brno"), (str(YARD), 3, 4, 1, "brno")]
+
+
+def test_over_http_an_enrolled_station_reads_back_its_own_segments_and_sends_again_what_is_wanted(
+    station: Log, central: Log, serve: Serve
+) -> None:
+    app = FastAPI()
+    access = Access(central, Station("praha"), CENTRAL_KEY, now=lambda: NOON)
+    app.include_router(router(central, None, access=access, now=lambda: NOON))
+    enrol(access, BRNO, KEY)
+    speaking = Sender(access, "brno")
+    speaking.hello()
+    address = serve(app)
+
+    def post(endpoint: str, body: bytes) -> httpx.Response:
+        return httpx.post(f"{address}{PATH}/{endpoint}", content=body, auth=speaking.signer)
+
+    def asked(stream: StreamName) -> bytes:
+        return Range(stream=str(stream), epoch=1, first_sequence=4, last_sequence=5).encoded()
+
+    answer = post("segments/read", asked(GATE))
+    (record,) = decode_records(answer.content)
+    assert record.segment.payload == list(station.read(GATE))[1].payload
+    foreign = post("segments/read", asked(StreamName.of("plzen", "gate", "track_point")))
+    assert (foreign.status_code, foreign.json()["code"]) == (403, "foreign_stream")
+    with owner(central) as connection:
+        connection.execute("set session_replication_role = replica")
+        connection.execute("update segments set payload = 'x' where position = 2")
+    Wanted(central).ask(list(damaged_payloads(central)))
+    (damage,) = Wanted(central).of(BRNO)
+    again = records_for(station, BRNO, damage.wanted(), bytes_max=MAX, segments_max=10)
+    assert post("segments/repair", again).json() == {"repaired": 1}
+    assert post("segments/repair", b"nothing").json()["code"] == "bad_body"
+    assert verify(central, station="praha").is_sound

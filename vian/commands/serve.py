@@ -15,25 +15,28 @@ from typing import Annotated
 
 import structlog
 import typer
+from fastapi import FastAPI
 
 from patterns.engine.compiling import compiling_beside
 from store import Log, Projector
 from sync.access import Access
+from sync.grants import Grantor
 from sync.refusals import Refusals
 from vian import logs, options
 from vian.admission import access_for, certificate_of, refusals_for, refusals_part
 from vian.api import bind, create_app, serving
-from vian.errors import WrongUsage
 from vian.options import opened, settings_for
 from vian.output import Output
 from vian.parts import Part, Parts, stepping
-from vian.replication import plan_at_start, station_daemon, sync_part
+from vian.precedence import Precedence
+from vian.pruning import disk_part
+from vian.replication import peer_of, plan_at_start, station_daemon, sync_part
 from vian.rows import upkeep_part
 from vian.rules import limits_of
 from vian.settings import Settings
 from vian.signatures import has_key, signing_part
 from vian.staging import stages_beside_that_run, stages_part
-from vian.stations import StationsFile, read_token
+from vian.stations import StationsFile
 from vian.watching import check_there, processor_part
 
 logger = structlog.get_logger()
@@ -96,9 +99,10 @@ def serve(
         stack.callback(listening.close)
         log = stack.enter_context(opened(settings, data_dir=data_dir, is_made=True))
         door = _door(log, settings) if role is Role.CENTRAL else None
-        parts = stack.enter_context(Parts(_parts(stack, log, settings, role, door)))
+        precedence = Precedence(settings.rows_wait_s)
+        parts = stack.enter_context(Parts(_parts(stack, log, settings, role, door, precedence)))
         stopping = _stop_on_signals()
-        app = create_app(log) if door is None else create_app(log, grants, access=door.access, note=door.refusals.note)
+        app = create_app(log) if door is None else _central_app(log, grants, door, precedence)
         address = stack.enter_context(serving(app, listening, certificate))
         Output(is_json=as_json).result(
             {"role": role, "address": address, "station": settings.station}, f"vian {role} at {address}"
@@ -122,14 +126,22 @@ def _door(log: Log, settings: Settings) -> _Door:
     return door
 
 
-def _parts(stack: ExitStack, log: Log, settings: Settings, role: Role, door: _Door | None) -> list[Part]:
+def _central_app(log: Log, grants: Grantor | None, door: _Door, precedence: Precedence) -> FastAPI:
+    return create_app(log, grants, access=door.access, note=door.refusals.note, while_storing=precedence.urgent)
+
+
+def _parts(
+    stack: ExitStack, log: Log, settings: Settings, role: Role, door: _Door | None, precedence: Precedence
+) -> list[Part]:
     projector = Projector(log)
     parts = [
-        stepping("projector", lambda: projector.step(STEP_SECONDS), log, projector.close),
+        stepping("projector", precedence.yielding(lambda: projector.step(STEP_SECONDS)), log, projector.close),
         upkeep_part(log, settings),
     ]
     if door is not None:
         parts.append(refusals_part(log, door.refusals))
+    if role is Role.STATION:
+        parts.append(disk_part(log, settings))
     if has_key(settings):
         parts.append(signing_part(log, settings))
     if settings.rules is not None or role is Role.STATION:
@@ -140,12 +152,10 @@ def _parts(stack: ExitStack, log: Log, settings: Settings, role: Role, door: _Do
         if stages:
             parts.append(stages_part(log, settings.station, stages))
         parts.append(processor_part(log, settings.station, settings.rules, limits, settings.rules_look_s))
-    if role is Role.STATION and settings.central is not None:
-        if settings.token_file is None:
-            raise WrongUsage("sync needs this station's token. Next: give --token-file FILE")
-        token = read_token(settings.token_file)
+    peer = peer_of(settings) if role is Role.STATION else None
+    if peer is not None:
         plan = plan_at_start(log, settings.station, settings.plan)
-        daemon = stack.enter_context(station_daemon(log, settings.station, settings.central, token, plan))
+        daemon = stack.enter_context(station_daemon(log, settings.station, peer, plan))
         parts.append(sync_part(daemon))
     return parts
 

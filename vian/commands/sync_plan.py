@@ -21,7 +21,7 @@ from vian import options
 from vian.clock import utc_now
 from vian.errors import WorldFailed, WrongUsage
 from vian.options import opened, settings_for
-from vian.output import Output, counted
+from vian.output import Output
 from vian.replication import load_plan
 from vian.settings import Settings
 
@@ -74,7 +74,7 @@ def set_(
         output.note(f"vian sync and vian serve set {settings.plan} at their next start, for the settings name it")
     if planned.plan.paused:
         output.note("the plan is paused: nothing is sent. Next: vian sync plan resume")
-    output.result(_said(planned, planned.plan), f"set: {len(plan.entries)} entries, {planned.plan_hash[:16]}")
+    output.result(_said(planned, planned.plan), f"set, as {planned.plan_hash[:16]}")
 
 
 @app.command(name="preview", epilog="Example: vian sync plan preview plan.yaml --rate '1 Mbit/s'")
@@ -122,7 +122,7 @@ def _show(output: Output, found: Preview) -> None:
     for each in found.entries:
         for problem in each.problems:
             output.note(f"entries[{each.number}]: {problem}")
-    output.line(f"all: {_about(found.seconds)}; {counted(found.staying, 'stream')} stay at the station")
+    output.line(f"all: {_about(found.seconds)}; streams that stay at the station: {found.staying}")
     for change in found.changes:
         output.line(f"{_named(change.streams)}{change.what}")
     for warning in found.warnings:

@@ -1,0 +1,100 @@
+"""Requests with segments that are under way: one in the caller's own thread, or several in threads of their own.
+
+Contract: with one slot a flight is over when `launch` returns, so that steps are deterministic. With more, a flight
+that goes on where another ends names it, and central waits for that one. Flights are given out as they land, in any
+order; whoever launches decides what a failure means for the others.
+"""
+
+from collections.abc import Callable
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from dataclasses import dataclass
+
+from sync.client import Link
+from sync.outbox import Filled, Parcel
+from sync.wire import SegmentsAnswer
+
+
+@dataclass(frozen=True, slots=True)
+class Landed:
+    """What became of a request."""
+
+    parcel: Parcel
+    seconds: float
+    answer: SegmentsAnswer | BaseException
+
+
+class Flights:
+    """The requests under way.
+
+    Args:
+        link: Central.
+        slots: How many may be under way at once.
+        name: What to name requests by, unlike those of any other daemon.
+        monotonic: Seconds that never go back.
+    """
+
+    def __init__(self, link: Link, slots: int, name: str, monotonic: Callable[[], float]) -> None:
+        self._link = link
+        self._slots = slots
+        self._name = name
+        self._monotonic = monotonic
+        self._number = 0
+        self._threads = ThreadPoolExecutor(slots, "vian-sync") if slots > 1 else None
+        self._under_way: dict[Future[Landed], tuple[str, Parcel]] = {}
+
+    def __len__(self) -> int:
+        """How many are under way or landed and not given out."""
+        return len(self._under_way)
+
+    @property
+    def has_slot(self) -> bool:
+        """Whether another may be launched."""
+        return len(self._under_way) < self._slots
+
+    def filled(self) -> list[Filled]:
+        """What those under way carry, in the order of their launch."""
+        return [each for _, parcel in self._under_way.values() for each in parcel.filled]
+
+    def launch(self, parcel: Parcel) -> None:
+        """Send the parcel."""
+        self._number += 1
+        name = f"{self._name}-{self._number}"
+        follows = self._followed(parcel)
+        if self._threads is not None:
+            future = self._threads.submit(self._fly, parcel, name, follows)
+        else:
+            future = Future()
+            future.set_result(self._fly(parcel, name, follows))
+        self._under_way[future] = name, parcel
+
+    def wait(self, seconds: float) -> None:
+        """Return when one has landed, or the time is up."""
+        wait(self._under_way, seconds, FIRST_COMPLETED)
+
+    def landed(self) -> Landed | None:
+        """One that has landed, the first launched first; None if none has."""
+        future = next((each for each in self._under_way if each.done()), None)
+        if future is None:
+            return None
+        del self._under_way[future]
+        return future.result()
+
+    def close(self) -> None:
+        """Launch no more; what is under way ends by itself."""
+        if self._threads is not None:
+            self._threads.shutdown(wait=False, cancel_futures=True)
+
+    def _followed(self, parcel: Parcel) -> str:
+        """Name of the newest request under way that carries what this parcel goes on from."""
+        keys = {each.key for each in parcel.filled}
+        names = [name for name, other in self._under_way.values() if keys & {each.key for each in other.filled}]
+        return names[-1] if names else ""
+
+    def _fly(self, parcel: Parcel, name: str, follows: str) -> Landed:
+        begun = self._monotonic()
+        answer: SegmentsAnswer | BaseException
+        try:
+            answer = self._link.send(parcel.records, name, follows)
+        except BaseException as error:  # given to whoever asks for it
+            answer = error
+        return Landed(parcel, self._monotonic() - begun, answer)

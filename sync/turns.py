@@ -1,0 +1,57 @@
+"""Turns: a request that goes on where another ends waits until that one is through.
+
+Contract: a station with two requests under way names each (`order`) and says of the second that it follows the
+first. Threads of one program keep turns; a request whose predecessor does not come through in time goes on
+without, and the log refuses it where that matters. Names are a station's own and are forgotten after a while.
+"""
+
+import threading
+from collections import OrderedDict
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from events import Station
+
+WAIT_S = 2.0
+NAME_LENGTH_MAX = 64
+_REMEMBERED = 16
+"""Requests of a station that are remembered."""
+_STATIONS_MAX = 10_000
+
+
+class Turns:
+    """The requests with segments of all stations that are through."""
+
+    def __init__(self, wait_s: float = WAIT_S) -> None:
+        self._wait_s = wait_s
+        self._changed = threading.Condition()
+        self._through: OrderedDict[Station, OrderedDict[str, None]] = OrderedDict()
+
+    @contextmanager
+    def taken(self, station: Station, order: str, follows: str) -> Iterator[None]:
+        """Wait for the request that this one follows, and note when the block ends that this one is through.
+
+        Args:
+            station: Whose requests they are.
+            order: Name of this one; empty: none follows it.
+            follows: Name of the one before; empty: none.
+        """
+        if follows:
+            with self._changed:
+                self._changed.wait_for(lambda: follows in self._through.get(station, ()), self._wait_s)
+        try:
+            yield
+        finally:
+            if order:
+                self._note(station, order[:NAME_LENGTH_MAX])
+
+    def _note(self, station: Station, order: str) -> None:
+        with self._changed:
+            names = self._through.setdefault(station, OrderedDict())
+            names[order] = None
+            self._through.move_to_end(station)
+            while len(names) > _REMEMBERED:
+                names.popitem(last=False)
+            while len(self._through) > _STATIONS_MAX:
+                self._through.popitem(last=False)
+            self._changed.notify_all()
