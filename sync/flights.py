@@ -13,6 +13,10 @@ from sync.client import Link
 from sync.outbox import Filled, Parcel
 from sync.wire import SegmentsAnswer
 
+_LIVE_SLOTS = 1
+_FAST_SECONDS = 0.1
+"""Requests that are answered within this need not be kept apart."""
+
 
 @dataclass(frozen=True, slots=True)
 class Landed:
@@ -28,7 +32,7 @@ class Flights:
 
     Args:
         link: Central.
-        slots: How many may be under way at once.
+        slots: How many may be under way at once; with more than one, a live one has a slot beside them.
         name: What to name requests by, unlike those of any other daemon.
         monotonic: Seconds that never go back.
     """
@@ -39,7 +43,8 @@ class Flights:
         self._name = name
         self._monotonic = monotonic
         self._number = 0
-        self._threads = ThreadPoolExecutor(slots, "vian-sync") if slots > 1 else None
+        self._launched_at = 0.0
+        self._threads = ThreadPoolExecutor(slots + _LIVE_SLOTS, "vian-sync") if slots > 1 else None
         self._under_way: dict[Future[Landed], tuple[str, Parcel]] = {}
 
     def __len__(self) -> int:
@@ -51,6 +56,19 @@ class Flights:
         """Whether another may be launched."""
         return len(self._under_way) < self._slots
 
+    @property
+    def has_live_slot(self) -> bool:
+        """Whether one with what is live may be launched, which does not wait for others to land."""
+        return self.has_slot or (self._slots > 1 and len(self._under_way) < self._slots + _LIVE_SLOTS)
+
+    def is_apart(self, took_s: float) -> bool:
+        """Whether one launched now is far enough from the one before, where each takes so long.
+
+        Two that begin together share a slow link, and land together; then nothing travels until the next ones do.
+        """
+        since_s = self._monotonic() - self._launched_at
+        return took_s < _FAST_SECONDS or not self._under_way or since_s >= took_s / self._slots
+
     def filled(self) -> list[Filled]:
         """What those under way carry, in the order of their launch."""
         return [each for _, parcel in self._under_way.values() for each in parcel.filled]
@@ -58,6 +76,7 @@ class Flights:
     def launch(self, parcel: Parcel) -> None:
         """Send the parcel."""
         self._number += 1
+        self._launched_at = self._monotonic()
         name = f"{self._name}-{self._number}"
         follows = self._followed(parcel)
         if self._threads is not None:

@@ -37,6 +37,8 @@ class Sizer:
         self._shortest_s: float | None = None
         self.size = self._bytes_min
         """What the next request should hold."""
+        self.took_s = 0.0
+        """How long the last one took that was not small for want of segments."""
 
     def took(self, size: int, seconds: float) -> None:
         """Learn from a request of `size` bytes that was answered after so many seconds."""
@@ -44,6 +46,7 @@ class Sizer:
         self._shortest_s = min(seconds, self._shortest_s or seconds)
         if 2 * size < self.size:
             return  # It was small for want of segments: it says little of larger ones.
+        self.took_s = seconds
         aimed_s = max(self._latency_s, 2 * self._shortest_s)
         wanted = min(max(size * aimed_s / seconds, self.size * _SHRINK_MAX), self.size * _GROWTH_MAX)
         self.size = int(min(max(wanted, self._bytes_min), self._bytes_max))

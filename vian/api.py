@@ -43,7 +43,7 @@ def create_app(
         access: Which stations are enrolled, for version 2.
         answers: Answers enrolled stations' questions.
         note: Told of each request of a station that is refused.
-        while_storing: Entered while segments are stored.
+        while_storing: Entered while segments of a request are checked and stored.
     """
     # The pages of documentation that FastAPI would serve need a CDN; the schema itself is served.
     app = FastAPI(title="ViAn", version=VERSION, docs_url=None, redoc_url=None)

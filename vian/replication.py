@@ -17,6 +17,7 @@ from sync.client import Central, Link
 from sync.client_v1 import CentralV1
 from sync.daemon import Daemon
 from sync.deadlines import bounded
+from sync.deriving import Deriver, DerivingChore
 from sync.plan import Plan
 from sync.planning import planned_in
 from sync.reports import Pace, Step
@@ -158,6 +159,7 @@ def station_daemon(
         base_url=peer.address, timeout=REQUEST_SECONDS_MAX, verify=context, transport=transport
     ) as client:
         bounds = bounded(client)
+        deriver = Deriver(log, station_name(station))
         try:
             yield Daemon(
                 log,
@@ -168,8 +170,10 @@ def station_daemon(
                 random=random.random,
                 pace=PACE,
                 central_key=peer.public_key,
+                chores=(DerivingChore(deriver),),
             )
         finally:
+            deriver.close()
             bounds.abort()
 
 

@@ -15,12 +15,10 @@ from typing import Annotated
 
 import structlog
 import typer
-from fastapi import FastAPI
 
 from patterns.engine.compiling import compiling_beside
 from store import Log, Projector
 from sync.access import Access
-from sync.grants import Grantor
 from sync.refusals import Refusals
 from vian import logs, options
 from vian.admission import access_for, certificate_of, refusals_for, refusals_part
@@ -102,7 +100,11 @@ def serve(
         precedence = Precedence(settings.rows_wait_s)
         parts = stack.enter_context(Parts(_parts(stack, log, settings, role, door, precedence)))
         stopping = _stop_on_signals()
-        app = create_app(log) if door is None else _central_app(log, grants, door, precedence)
+        app = (
+            create_app(log)
+            if door is None
+            else create_app(log, grants, access=door.access, note=door.refusals.note, while_storing=precedence.urgent)
+        )
         address = stack.enter_context(serving(app, listening, certificate))
         Output(is_json=as_json).result(
             {"role": role, "address": address, "station": settings.station}, f"vian {role} at {address}"
@@ -126,10 +128,6 @@ def _door(log: Log, settings: Settings) -> _Door:
     return door
 
 
-def _central_app(log: Log, grants: Grantor | None, door: _Door, precedence: Precedence) -> FastAPI:
-    return create_app(log, grants, access=door.access, note=door.refusals.note, while_storing=precedence.urgent)
-
-
 def _parts(
     stack: ExitStack, log: Log, settings: Settings, role: Role, door: _Door | None, precedence: Precedence
 ) -> list[Part]:
@@ -138,10 +136,10 @@ def _parts(
         stepping("projector", precedence.yielding(lambda: projector.step(STEP_SECONDS)), log, projector.close),
         upkeep_part(log, settings),
     ]
-    if door is not None:
-        parts.append(refusals_part(log, door.refusals))
     if role is Role.STATION:
         parts.append(disk_part(log, settings))
+    if door is not None:
+        parts.append(refusals_part(log, door.refusals))
     if has_key(settings):
         parts.append(signing_part(log, settings))
     if settings.rules is not None or role is Role.STATION:

@@ -65,6 +65,21 @@ def test_sync_follows_its_plan(station: Log, central: Log, address: str, run: Ru
     assert list(heads(central)) == ["brno/yard/track_point"]
 
 
+def test_sync_sends_what_a_filter_leaves_and_goes_on_with_the_plan_that_was_set(
+    station: Log, central: Log, address: str, run: Run
+) -> None:
+    Path("plan.yaml").write_text("entries: [{stream: '*/gate/track_point', where: 'frame >= 15'}]\n")
+    options = ("--dsn", station.dsn, "--station", "brno")
+    to = ("--central", address, "--token-file", TOKEN, "--once")
+    assert run("sync", "plan", "set", "plan.yaml", *options).code == 0
+    assert run("sync", *options, *to).code == 0
+    ((name, (sequence, _)),) = heads(central).items()
+    assert (name.startswith("brno/gate~"), sequence) == (True, 5)
+    append(station, points(4, first_frame=20))
+    assert run("sync", *options, *to).code == 0
+    assert heads(central)[name][0] == 9
+
+
 @pytest.mark.parametrize(
     "token, said",
     [

@@ -1,0 +1,72 @@
+"""Requests under way: slots, the one for what is live, and the distance between two on a slow link."""
+
+import threading
+from collections.abc import Iterator
+from typing import Any, cast
+
+import pytest
+
+from sync.client import Link
+from sync.flights import Flights
+from sync.outbox import Parcel
+from sync.wire import SegmentsAnswer
+
+NOTHING = Parcel((), ())
+
+
+class Hanging:
+    """A central that answers when it is told to."""
+
+    def __init__(self) -> None:
+        self.may_answer = threading.Event()
+
+    def send(self, *_: Any) -> SegmentsAnswer:
+        assert self.may_answer.wait(60.0)
+        return SegmentsAnswer(cursors=(), stored=0, duplicates=0)
+
+
+@pytest.fixture
+def central() -> Iterator[Hanging]:
+    hanging = Hanging()
+    yield hanging
+    hanging.may_answer.set()
+
+
+class Clock:
+    now = 100.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+def flights_to(central: Hanging, slots: int, clock: Clock) -> Flights:
+    return Flights(cast(Link, central), slots, "test", clock)
+
+
+def test_what_is_live_has_a_slot_beside_those_that_are_taken(central: Hanging) -> None:
+    flights = flights_to(central, 2, Clock())
+    flights.launch(NOTHING)
+    assert flights.has_slot
+    flights.launch(NOTHING)
+    assert not flights.has_slot
+    assert flights.has_live_slot
+    flights.launch(NOTHING)
+    assert not flights.has_live_slot
+
+
+def test_one_slot_is_one_slot(central: Hanging) -> None:
+    central.may_answer.set()
+    flights = flights_to(central, 1, Clock())
+    flights.launch(NOTHING)
+    assert not flights.has_live_slot
+
+
+def test_two_requests_on_a_slow_link_begin_apart(central: Hanging) -> None:
+    clock = Clock()
+    flights = flights_to(central, 2, clock)
+    assert flights.is_apart(took_s=0.6), "nothing is under way"
+    flights.launch(NOTHING)
+    assert not flights.is_apart(took_s=0.6)
+    assert flights.is_apart(took_s=0.01), "a fast link needs no distance"
+    clock.now += 0.31
+    assert flights.is_apart(took_s=0.6)
