@@ -18,6 +18,7 @@ from sync.deadlines import bounded
 from sync.plan import Plan
 from sync.planning import planned_in
 from sync.reports import Pace, Step
+from sync.rotation import take_turns
 from vian.clock import utc_now
 from vian.errors import WrongUsage
 from vian.parts import Part
@@ -96,6 +97,8 @@ def station_daemon(
             f"there; or extract with --station {station}"
         )
     with httpx.Client(base_url=central, timeout=REQUEST_SECONDS_MAX, transport=transport) as client:
+        if transport is None:
+            take_turns(client)
         bounds = bounded(client)
         try:
             link = CentralV1(client, token)
