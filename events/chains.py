@@ -1,7 +1,7 @@
 """Chains: whether segments follow each other, stream by stream and run by run.
 
-Contract: pure. A `Chains` is given segments in the order in which a log took them, and says what is wrong with each
-before it is taken. A stream may be here in several **runs**: contiguous ranges of sequences. A run begins with the
+Contract: pure. A `Chains` is given segments in the order in which a log took them, and takes each or says what is wrong
+with it. A stream may be here in several **runs**: contiguous ranges of sequences. A run begins with the
 stream, or behind a **base**, which is the chain hash after an event that is not here, or not yet; a base must have been
 told of (`expect`) before the segment that begins behind it comes. A lower run grows until it meets the run above it:
 then its chain hash must be the base's, and the two are one.
@@ -133,36 +133,43 @@ class Chains:
             return runs[0]
         return next((run for run in reversed(runs) if run.after < sequence), NOTHING)
 
-    def fault(self, segment: Segment) -> Fault | None:
-        """What is wrong with a segment as the next one; None where nothing is."""
+    def follow(self, segment: Segment) -> Fault | None:
+        """Take a segment as the next one; where something is wrong with it, say what, and take nothing."""
+        header = segment.header
+        place = (header.stream, header.epoch)
+        runs = self.runs.get(place)
+        if runs is None or len(runs) != 1 or runs[0].sequence != header.first_sequence - 1:
+            return self._follow_apart(segment, place)
+        # By far the most segments go on with the only run of their stream.
+        run = runs[0]
+        reason = payload_fault(segment) or chain_fault(segment, run.chain_hash)
+        if reason is not None:
+            return Fault(reason)
+        runs[0] = Run(run.after, run.after_hash, header.last_sequence, segment.chain_hash, segment.position)
+        return None
+
+    def _follow_apart(self, segment: Segment, place: Place) -> Fault | None:
+        """As `follow`, for a stream that begins or has gaps."""
         if (reason := payload_fault(segment)) is not None:
             return Fault(reason)
-        run = self._grown_by(segment)
+        run, above = self._grown_by(segment), self._above(segment)
         if run is None:
             return self._misplaced(segment)
         if (reason := chain_fault(segment, run.chain_hash)) is not None:
             return Fault(reason)
-        return self._misjoined(segment)
-
-    def take(self, segment: Segment) -> None:
-        """Go on behind a segment that has no fault."""
-        place = (segment.header.stream, segment.header.epoch)
-        run = self._grown_by(segment)
-        assert run is not None, "a segment without fault has its place"
+        if above is not None and (fault := _misjoined(segment, above)) is not None:
+            return fault
         self._coming.pop((place, run.sequence), None)
         grown = Run(run.after, run.after_hash, segment.header.last_sequence, segment.chain_hash, segment.position)
-        runs = self.runs.setdefault(place, [])
-        if len(runs) <= 1 and (not runs or runs[0].after == run.after):
-            runs[:] = [grown]
-            return
-        above = self._above(segment)
+        others = [each for each in self.runs.get(place, ()) if each.after != run.after]
         if above is not None and above.after == grown.sequence:
             grown = replace(above, after=run.after, after_hash=run.after_hash)
-            runs.remove(above)
-        self.runs[place] = sorted([*(each for each in runs if each.after != run.after), grown], key=_by_place)
+            others.remove(above)
+        self.runs[place] = sorted([*others, grown], key=_by_place)
+        return None
 
     def take_broken(self, segment: Segment) -> None:
-        """Go on behind a segment that has a fault, as if all before it were here."""
+        """Go on behind a segment that was not taken, as if all before it were here."""
         header = segment.header
         run = Run(0, GENESIS, header.last_sequence, segment.chain_hash, segment.position)
         self.runs[header.stream, header.epoch] = [run]
@@ -190,25 +197,24 @@ class Chains:
             return Fault(f"sequences {lacking} to {header.first_sequence - 1} are missing", lacking)
         return Fault(f"it follows sequence {run.sequence}, so it must begin at {run.sequence + 1}")
 
-    def _misjoined(self, segment: Segment) -> Fault | None:
-        """What is wrong where the segment meets the run above it."""
-        above, last = self._above(segment), segment.header.last_sequence
-        if above is None or last < above.after:
-            return None
-        if last > above.after:
-            return Fault(f"it ends at sequence {last}, but from {above.after + 1} on the stream is here already")
-        if segment.chain_hash != above.after_hash:
-            return Fault(
-                f"at sequence {last} the chain hash is {segment.chain_hash.hex()}, what follows was begun behind "
-                f"{above.after_hash.hex()}"
-            )
-        return None
-
     def _above(self, segment: Segment) -> Run | None:
         """The run above the segment."""
         header = segment.header
         runs = self.runs.get((header.stream, header.epoch), ())
         return next((run for run in runs if run.after >= header.first_sequence), None)
+
+
+def _misjoined(segment: Segment, above: Run) -> Fault | None:
+    """What is wrong where the segment meets the run above it."""
+    last = segment.header.last_sequence
+    if last > above.after:
+        return Fault(f"it ends at sequence {last}, but from {above.after + 1} on the stream is here already")
+    if last == above.after and segment.chain_hash != above.after_hash:
+        return Fault(
+            f"at sequence {last} the chain hash is {segment.chain_hash.hex()}, what follows was begun behind "
+            f"{above.after_hash.hex()}"
+        )
+    return None
 
 
 def _by_place(run: Run) -> int:

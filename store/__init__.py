@@ -36,7 +36,7 @@ from store.signing import Signer
 from store.standing import Standing, StreamHead
 from store.subscription import Delivery, Subscription
 from store.upkeep import RowPolicy, RowTable, Upkeep, maintain, row_tables
-from store.verification import Verification, verify
+from store.verification import Gap, Verification, verify
 from store.verified import Verified
 from store.writing import Appended
 
@@ -55,6 +55,7 @@ __all__ = [
     "DatabaseDamaged",
     "Delivery",
     "DiskNearlyFull",
+    "Gap",
     "Journal",
     "Log",
     "LogUnavailable",

@@ -13,7 +13,6 @@ def follow(chains: Chains, segment: Segment) -> None:
     Raises:
         ChainBroken: It is not what its hashes say, or does not follow.
     """
-    fault = chains.fault(segment)
+    fault = chains.follow(segment)
     if fault is not None:
         raise ChainBroken(segment.stream, segment.position, segment.header.first_sequence, fault.reason)
-    chains.take(segment)

@@ -40,7 +40,18 @@ from store.reading import (
 from store.resending import acknowledged
 from store.room import Room
 from store.schema import migrate, safe_dsn
-from store.standing import BASES, RUNS, STANDING, Standing, StreamHead, base_of, runs_of, standing_of
+from store.standing import (
+    ALL_RUNS,
+    BASES,
+    RUNS,
+    STANDING,
+    Standing,
+    StreamHead,
+    all_runs_of,
+    base_of,
+    runs_of,
+    standing_of,
+)
 from store.writing import APPEND, Appended, PlaceIsSealed, append_answer, append_error, append_parameters
 
 T = TypeVar("T")
@@ -319,7 +330,7 @@ class Log:
     def read(
         self, stream: StreamName, from_sequence: int = 1, *, epoch: int | None = None, with_hollow: bool = False
     ) -> Iterator[Segment]:
-        """The stream's segments that hold `from_sequence` or a later event, in order.
+        """The stream's segments that hold `from_sequence` or a later event, in order; what is in a gap is not here.
 
         Args:
             stream: The stream; one that does not exist has no segments.
@@ -492,9 +503,9 @@ class Log:
         rows = self._rows(RUNS, wanted)
         return runs_of(rows[0][0], rows[0][1], [row[2:] for row in rows]) if rows else []
 
-    def all_runs(self) -> dict[Place, list[Run]]:
-        """What is here of all streams that hold events: their runs, ascending."""
-        return self.standing().runs
+    def all_runs(self, *, station: str | None = None) -> dict[Place, list[Run]]:
+        """What is here of all streams, or one station's, that hold events: their runs, ascending."""
+        return all_runs_of(self._rows(ALL_RUNS, {"station": station}))
 
     def standing(self) -> Standing:
         """Position, heads, runs and bases, as they stood at one moment."""

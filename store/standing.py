@@ -7,6 +7,7 @@ the head.
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import groupby
 from typing import Any
 
 from events import GENESIS, Base, Place, Run, StreamName
@@ -22,11 +23,16 @@ STANDING = (
 )
 """One row a base; a stream without has one row, and so has a log without streams."""
 
-RUNS = (
-    "select s.sequence, s.chain_hash, b.sequence, b.chain_hash, b.filled_sequence, b.filled_hash "
-    f"from streams s left join stream_bases b on b.stream_id = s.id and b.filled_sequence < b.sequence where {_NAMED} "
-    "order by b.sequence"
+_OPEN = (
+    "s.sequence, s.chain_hash, b.sequence, b.chain_hash, b.filled_sequence, b.filled_hash "
+    "from streams s left join stream_bases b on b.stream_id = s.id and b.filled_sequence < b.sequence"
 )
+RUNS = f"select {_OPEN} where {_NAMED} order by b.sequence"
+ALL_RUNS = (
+    f"select {_STREAM}, {_OPEN} where %(station)s::text is null or s.station = %(station)s "
+    "order by s.station, s.source, s.type, s.epoch, b.sequence"
+)
+"""Bases that what comes before has reached are left out: they may be many."""
 
 BASES = (
     f"select {_STREAM}, {_BASE} from stream_bases b join streams s on s.id = b.stream_id "
@@ -103,6 +109,15 @@ def runs_of(sequence: int, chain_hash: bytes, bases: Iterable[Sequence[Any]]) ->
             runs.append(Run(after, after_hash, filled, filled_hash))
         after, after_hash = base, base_hash
     return [*runs, Run(after, after_hash, sequence, chain_hash)] if sequence > after else runs
+
+
+def all_runs_of(rows: Iterable[Sequence[Any]]) -> dict[Place, list[Run]]:
+    """What the rows of `ALL_RUNS` say; a stream without events is left out."""
+    runs = {
+        (StreamName(*names), epoch): runs_of(each[0][4], each[0][5], [row[6:] for row in each])
+        for (*names, epoch), each in ((key, list(group)) for key, group in groupby(rows, lambda row: row[:4]))
+    }
+    return {place: each for place, each in runs.items() if each}
 
 
 def base_of(row: Sequence[Any]) -> Base:

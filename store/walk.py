@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 
-from events import Chains, Header, Place, Run, Segment, StreamName
+from events import Chains, Fault, Header, Place, Run, Segment, StreamName
 from events.chains import NOTHING
 from events.segment import microseconds
 from store.errors import UNKNOWN, ChainBroken, SealedFileDamaged
@@ -71,12 +71,11 @@ class Walk:
     def take(self, segment: Segment) -> None:
         """Go to the segment and check it."""
         self.go_to(segment.position)
-        if segment.stream not in self.broken and (fault := self._fault(segment)) is not None:
-            self.broken[segment.stream] = fault
-        if segment.stream in self.broken:
+        fault = self.chains.follow(segment)
+        if fault is not None:
+            if segment.stream not in self.broken:
+                self.broken[segment.stream] = self._broken_by(segment, fault)
             self.chains.take_broken(segment)
-        else:
-            self.chains.take(segment)
         self.order_hash = order_hash(
             self.order_hash, segment.position, microseconds(segment.recorded_at), segment.chain_hash
         )
@@ -169,11 +168,8 @@ class Walk:
         self.holes[damage.position] = self.position = damage.last_position
         self.missed.add(damage.position)
 
-    def _fault(self, segment: Segment) -> ChainBroken | None:
-        """What is wrong with the next segment; None when nothing is."""
-        fault = self.chains.fault(segment)
-        if fault is None:
-            return None
+    def _broken_by(self, segment: Segment, fault: Fault) -> ChainBroken:
+        """The break that a segment's fault is."""
         header = segment.header
         if fault.missing is not None:
             run = self.chains.below((header.stream, header.epoch), header.first_sequence)

@@ -16,8 +16,9 @@ from store import ChainBroken, Log, SequenceConflict, Transaction
 from store.writing import Appended
 from sync.errors import ProtocolMismatch, Refusal, WireError
 from sync.held import held_of, runs_of
+from sync.repair import Wanted
 from sync.runs import StreamKey
-from sync.turns import Turns
+from sync.unpacking import check_unpacked
 from sync.wire import (
     PROTOCOLS,
     Cursor,
@@ -88,6 +89,7 @@ def answer_hello_2(
         body_bytes_max=body_bytes_max,
         segments_max=segments_max,
         bits_per_s_max=bits_per_s_max,
+        wanted=tuple(damage.wanted() for damage in Wanted(log).of(caller.station)),
     )
 
 
@@ -99,9 +101,7 @@ def apply_2(
     body_bytes_max: int,
     segments_max: int,
     still_allowed: Callable[[Transaction], None] = lambda _: None,
-    turns: Turns | None = None,
-    order: str = "",
-    follows: str = "",
+    in_turn: Callable[[], None] = lambda: None,
 ) -> SegmentsAnswer:
     """Store the segments of the body, and say what is held of their streams then.
 
@@ -111,10 +111,9 @@ def apply_2(
         body: Records.
         body_bytes_max: Most bytes of it.
         segments_max: Most records in it.
-        still_allowed: Called in the transaction that stores, before it does; raises if the caller may no longer write.
-        turns: Where requests that follow one another wait.
-        order: The request's name, which the station gave it.
-        follows: Name of the request on which it goes on.
+        still_allowed: Called when all is checked, in the transaction that stores it; raises if the caller may no
+            longer write.
+        in_turn: Called when all is checked, before the transaction; returns when it is this request's turn.
 
     Raises:
         Refusal: Something is wrong with them; nothing was stored.
@@ -122,9 +121,9 @@ def apply_2(
             been stored.
     """
     records = _records(body, body_bytes_max, segments_max)
-    with (turns or Turns()).taken(caller.station, order, follows if turns else ""):
-        check(log, caller.station, records, may_lack_payload=True)
-        appended = store_records(log, records, still_allowed)
+    check(log, caller.station, records, may_lack_payload=True)
+    in_turn()
+    appended = store_records(log, records, still_allowed)
     duplicates = sum(one.was_there for one in appended)
     held = runs_of(log, _keys(records))
     return SegmentsAnswer(
@@ -177,6 +176,7 @@ def check(log: Log, station: Station, records: Sequence[Record], *, may_lack_pay
     Raises:
         Refusal: One is not.
     """
+    check_unpacked(record.segment for record in records)
     for record in records:
         segment = record.segment
         header = segment.header

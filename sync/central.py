@@ -15,7 +15,7 @@ from datetime import UTC, datetime
 from time import monotonic
 from typing import Annotated, Any, Protocol
 
-from fastapi import APIRouter, Depends, Request, Response
+from fastapi import APIRouter, Depends, Header, Request, Response
 
 from events import Station
 from store import Log
@@ -29,12 +29,11 @@ from sync.errors import Refusal
 from sync.grants import Grantor, Grants
 from sync.problems import RESPONSES, Note, claim, cursors_2, problem_route
 from sync.questions import QUESTION_BYTES_MAX
-from sync.repair import RANGE_BYTES_MAX, RepairAnswer, records_for, repair_with
+from sync.repair import RANGE_BYTES_MAX, records_for, repair_with
 from sync.signing import STATION_HEADER
-from sync.turns import Turns
+from sync.turns import NAME_LENGTH_MAX, Turns
 from sync.wire import (
     BODY_BYTES_MAX,
-    CHALLENGE_BYTES_MAX,
     FOLLOWS_HEADER,
     HELLO_BYTES_MAX,
     ORDER_HEADER,
@@ -45,6 +44,7 @@ from sync.wire import (
     ChallengeRequest,
     Countersigned,
     Range,
+    RepairAnswer,
 )
 from sync.wire import HelloAnswer as HelloAnswer2
 from sync.wire import SegmentsAnswer as SegmentsAnswer2
@@ -197,6 +197,7 @@ def _version_2(
         return await read_body(request, small)
 
     async def attempted(request: Request) -> str | None:
+        claim(request, request.headers.get(STATION_HEADER))
         address = request.client.host if request.client is not None else None
         attempts.check(address)
         return address
@@ -230,10 +231,11 @@ def _version_2(
 
     @api.post("/segments", summary="A station sends segments; 200 means that they are durable")
     def segments(
-        request: Request,
         call: Annotated[Call, Depends(door.opens("segments", REPLICATE, most.body_bytes_max))],
+        order: Annotated[str, Header(alias=ORDER_HEADER, max_length=NAME_LENGTH_MAX)] = "",
+        follows: Annotated[str, Header(alias=FOLLOWS_HEADER, max_length=NAME_LENGTH_MAX)] = "",
     ) -> SegmentsAnswer2:
-        with while_storing():
+        with while_storing(), turns.named(call.caller.station, order):
             return apply_2(
                 log,
                 call.caller,
@@ -241,14 +243,12 @@ def _version_2(
                 body_bytes_max=most.body_bytes_max,
                 segments_max=most.segments_max,
                 still_allowed=lambda transaction: door.access.check_again(transaction, call.caller),
-                turns=turns,
-                order=request.headers.get(ORDER_HEADER, ""),
-                follows=request.headers.get(FOLLOWS_HEADER, ""),
+                in_turn=lambda: turns.wait_for(call.caller.station, follows),
             )
 
     @api.post("/countersign", summary="Central signs that it holds what a station's checkpoint says")
     def countersigned(
-        call: Annotated[Call, Depends(door.opens("countersign", REPLICATE, CHALLENGE_BYTES_MAX))],
+        call: Annotated[Call, Depends(door.opens("countersign", REPLICATE, most.hello_bytes_max))],
     ) -> Countersigned:
         return countersign(log, call.caller.station, call.body, door.access.key, now())
 

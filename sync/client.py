@@ -12,13 +12,14 @@ from typing import Protocol
 
 import httpx
 
-from events import Station
+from events import Segment, Station
 from store import StreamHead
 from sync.errors import BadAnswer, WireError
 from sync.exchange import DEADLINE_S, Exchange
 from sync.runs import Point, Runs, StreamKey, end_of
 from sync.wire import (
     ANSWER_BYTES_MAX,
+    BODY_BYTES_MAX,
     CHALLENGE_BYTES_MAX,
     FOLLOWS_HEADER,
     HELLO_ANSWER_BYTES_MAX,
@@ -34,10 +35,14 @@ from sync.wire import (
     Hello,
     HelloAnswer,
     M,
+    Message,
+    Range,
     Record,
+    RepairAnswer,
     SegmentsAnswer,
     StreamState,
     cursors_hash,
+    decode_records,
     encode_records,
     parse,
     program,
@@ -82,6 +87,9 @@ class Link(Protocol):
 
     def countersign(self, request: CountersignRequest) -> Countersigned:
         """Central's signature under a checkpoint. Raises CentralError where there is none."""
+
+    def repair(self, body: bytes) -> RepairAnswer:
+        """What central put back of records that it wanted. Raises CentralError where there is no answer."""
 
 
 class Signer(Protocol):
@@ -168,6 +176,34 @@ class Central:
             CentralError: There is none.
         """
         return self._parsed(Countersigned, "countersign", request.encoded(), JSON, ANSWER_BYTES_MAX)
+
+    def ask(self, endpoint: str, question: Message, answer_type: type[M]) -> M:
+        """Central's answer to a question, within the session that a hello began.
+
+        Raises:
+            CentralError: There is none.
+        """
+        return self._parsed(answer_type, endpoint, question.encoded(), JSON, ANSWER_BYTES_MAX)
+
+    def repair(self, body: bytes) -> RepairAnswer:
+        """What central put back of a body of records that it wanted.
+
+        Raises:
+            CentralError: There is no answer; they may have been put back or not.
+        """
+        return self._parsed(RepairAnswer, "segments/repair", body, {"Content-Type": RECORD_TYPE}, ANSWER_BYTES_MAX)
+
+    def read(self, wanted: Range) -> list[Segment]:
+        """The segments of this station that hold the range at central; the first of them where they are many.
+
+        Raises:
+            CentralError: There is no answer, or central holds nothing of it.
+        """
+        data = self._exchange.post("segments/read", wanted.encoded(), JSON, BODY_BYTES_MAX)
+        try:
+            return [record.segment for record in decode_records(data)]
+        except WireError as error:
+            raise self._exchange.bad_answer(str(error)) from error
 
     def _challenge(self, station: Station) -> Challenge:
         said = ChallengeRequest(station=station).encoded()

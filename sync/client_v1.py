@@ -10,11 +10,11 @@ import httpx
 
 from events import GENESIS, Run, StreamName
 from sync.client import JSON, Greeting
-from sync.errors import BadAnswer, CentralFailed, ProtocolMismatch, WireError
+from sync.errors import BadAnswer, CentralFailed, ProtocolMismatch, Refused, WireError
 from sync.exchange import DEADLINE_S, UPGRADE, Exchange
 from sync.grants import checked_token
 from sync.runs import StreamKey
-from sync.wire import RECORD_TYPE, Countersigned, CountersignRequest, Cursor, Record, parse, program
+from sync.wire import RECORD_TYPE, Countersigned, CountersignRequest, Cursor, Record, RepairAnswer, parse, program
 from sync.wire import HelloAnswer as HelloAnswer2
 from sync.wire import SegmentsAnswer as SegmentsAnswer2
 from sync.wire_v1 import (
@@ -28,6 +28,8 @@ from sync.wire_v1 import (
     encode_records,
     parse_versioned,
 )
+
+_HOLLOW = "its payload left the disk, which protocol 1 cannot say. Next: vian station enrol CODE --central URL"
 
 
 class CentralV1:
@@ -95,7 +97,16 @@ class CentralV1:
 
         Raises:
             CentralError: There is none; they may be durable or not.
+            Refused: The payload of one left the disk; central of this version would take its header for a false one.
         """
+        for segment in (record.segment for record in records if not record.segment.has_payload):
+            raise Refused(
+                _HOLLOW,
+                code="false_header",
+                stream=segment.stream,
+                epoch=segment.header.epoch,
+                first_sequence=segment.header.first_sequence,
+            )
         body = encode_records([record.segment for record in records])
         data = self._post("segments", body, {"Content-Type": RECORD_TYPE})
         try:
@@ -111,6 +122,14 @@ class CentralV1:
             CentralFailed: Always.
         """
         raise CentralFailed(f"central at {self.address} countersigns nothing in protocol {PROTOCOL}. {UPGRADE}")
+
+    def repair(self, body: bytes) -> RepairAnswer:
+        """Not in this version.
+
+        Raises:
+            CentralFailed: Always.
+        """
+        raise CentralFailed(f"central at {self.address} wants nothing back in protocol {PROTOCOL}. {UPGRADE}")
 
     def _post(self, endpoint: str, body: bytes, headers: dict[str, str]) -> bytes:
         return self._exchange.post(endpoint, body, self._authorization | headers, ANSWER_BYTES_MAX)

@@ -12,6 +12,7 @@ on.
 
 import threading
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
 from itertools import pairwise
@@ -24,18 +25,19 @@ from sync.chores import Chores
 from sync.client import Greeting, Link
 from sync.contact import Contact
 from sync.countersigning import Countersigning
-from sync.errors import BadAnswer, CentralError, PlanError, Refused, SegmentRefused, StreamStopped
+from sync.errors import BadAnswer, CentralError, PlanError, Refusal, Refused, SegmentRefused, StreamStopped
 from sync.flights import BACKLOG, Flights, Landed
 from sync.outbox import Capacity, Outbox
 from sync.pacing import Caps, Meter, Sizer
 from sync.plan import Entry, Plan
 from sync.planning import plan_stream, planned_in, set_plan
+from sync.repair import records_for
 from sync.reporting import Reporter
 from sync.reports import Chore, Pace, State, Status, Step, StreamStatus
 from sync.runs import Runs, StreamKey, are_held, end_of
 from sync.scheduling import Share, Work, chosen, in_order
 from sync.standing import Standing
-from sync.wire import Cursor, HelloAnswer, RunState
+from sync.wire import Cursor, HelloAnswer, Range, RunState
 
 _LANDING_S = 0.02
 """Longest wait for a request to be answered before the log is looked at again."""
@@ -96,6 +98,8 @@ class Daemon:
         self._share = Share()
         self._caps = Caps()
         self._terms = _Terms()
+        self._wanted: list[Range] = []
+        """what central wants back, of the last hello"""
         self._sent: dict[StreamKey, _Sent] = {}
         self._doubts: dict[StreamKey, str] = {}
         self._state: State = "starting"
@@ -105,7 +109,8 @@ class Daemon:
         self._log_head = -1
         self._plan_place: tuple[int, int] | None = None
         self._is_plan_seen = False
-        self._standing.follow(plan.resolved(now()))
+        if all(entry.begin != "now" or entry.now is not None for entry in plan.entries):
+            self._standing.follow(plan)
 
     def step(self) -> Step:
         """Do one bounded thing, and say what it was."""
@@ -226,8 +231,10 @@ class Daemon:
 
     def _set_plan(self) -> Step:
         """Have the log name the plan, unless it does, and follow what it names."""
+        planned = planned_in(self._log, self._station)
         try:
-            planned = set_plan(self._log, self._station, self._plan, self._central.address, self._now())
+            if planned is None or (planned.plan, planned.central) != (self._plan, self._central.address):
+                planned = set_plan(self._log, self._station, self._plan, self._central.address, self._now())
         except SequenceConflict:
             return Step("planned")  # Others were faster: look again.
         self._is_set = True
@@ -290,6 +297,7 @@ class Daemon:
         self._outbox.forget()
         self._terms = _Terms.of(answer, self._monotonic(), {StreamKey(head.stream, head.epoch) for head in heads})
         self._caps.heed(answer.bits_per_s_max)
+        self._wanted = list(answer.wanted)
         self._contact.greeted(asked, answer.time)
         return Step("hello")
 
@@ -299,16 +307,16 @@ class Daemon:
         at = self._monotonic()
         waits = {id(work): self._caps.wait_s(work.entry, at, is_live=work.is_live) for work in works}
         ready = [work for work in works if not waits[id(work)]]
-        chosen_now = self._chosen(ready)
-        if chosen_now and chosen_now[0].is_live:
-            return self._launch(chosen_now, at)
-        if (step := self._countersign()) is not None:
+        first = self._chosen(ready)
+        if first and first[0].is_live:
+            return self._launch(first, at)
+        if (step := self._countersign() or self._repair()) is not None:
             return step
-        self._is_chores_turn = not self._is_chores_turn or not chosen_now
+        self._is_chores_turn = not self._is_chores_turn or not first
         if self._is_chores_turn and self._chores.step(self._now()):
             return Step("chore")
-        if chosen_now:
-            return self._launch(chosen_now, at)
+        if first:
+            return self._launch(first, at)
         if len(self._flights):
             self._wait_for_landing()
             return Step("sending")
@@ -318,7 +326,7 @@ class Daemon:
         """What is launched now; what is live does not wait for what is under way of lanes behind its own."""
         if not self._flights.has_slot:
             return in_order(work for work in ready if work.is_live and self._flights.overtakes(work.entry.priority))
-        works = chosen(ready, self._share, self._plan.backlog_share)
+        works = chosen(ready, self._share, self._plan.backlog_share, self._sizer.size)
         is_early = bool(works) and not works[0].is_live and not self._flights.is_apart(self._sizer.took_s)
         return [] if is_early else works
 
@@ -342,6 +350,20 @@ class Daemon:
         self._countersigning.take(answer)
         self._contact.answered()
         return Step("countersigned")
+
+    def _repair(self) -> Step | None:
+        """Send again the next range that central wants back."""
+        if not self._wanted or len(self._flights):
+            return None
+        wanted = self._wanted.pop(0)
+        with suppress(Refusal, Refused):  # what is not here, or is another's, central lacks as before
+            terms = self._terms
+            body = records_for(
+                self._log, self._station, wanted, bytes_max=terms.body_bytes_max, segments_max=terms.segments_max
+            )
+            self._central.repair(body)
+            self._contact.answered()
+        return Step("repaired")
 
     def _launch(self, works: Sequence[Work], at: float) -> Step:
         """Send the first segments of these works."""

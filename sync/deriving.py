@@ -18,6 +18,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 
+from duckdb import DuckDBPyConnection
+
 from events import Draft, EventBatch, EventError, EventType, Position, Producer, Segment, Station, StreamName, decode
 from events.segment import draft_of, encode_payload
 from store import Checkpoint, Log, StreamHead
@@ -26,7 +28,7 @@ from sync.entries import Entry, base_of, derived_name
 from sync.errors import FilterFailed, PlanError
 from sync.filtering import Sieve, database, joined
 from sync.plan import Plan
-from sync.planning import Planned, planned_in
+from sync.planning import Planned, plan_stream, planned_in
 
 CHECKPOINT = DERIVE
 """Begins the name of a derived stream's checkpoint."""
@@ -85,9 +87,13 @@ class Deriver:
     def __init__(self, log: Log, station: Station) -> None:
         self._log = log
         self._station = station
-        self._runs = database()
+        self._runs: DuckDBPyConnection | None = None
         self._head = _UNKNOWN
         self._planned: Planned | None = None
+        self._plan_place: tuple[int, int] | None = None
+        """Epoch and sequence of the event that names the plan."""
+        self._looked_at: set[StreamName] = set()
+        """Streams of which it is known what the plan derives from them."""
         self._derivations: dict[StreamName, Derivation] = {}
         self._sieves: dict[tuple[bytes, str], Sieve] = {}
         self._saved: dict[StreamName, int] = {}
@@ -97,17 +103,16 @@ class Deriver:
         self._errors: dict[StreamName, str] = {}
         self._is_turn_of_live = False
 
-    def step(self, now: datetime) -> bool:
+    def step(self) -> bool:
         """Derive from one page of the log; whether more is waiting.
 
         Raises:
             PlanError: The log's plan does not read here.
             LogUnavailable: The database is away; nothing is lost, step again later.
         """
-        head = self._log.head()
         try:
-            if head != self._head:
-                self._look(head)
+            if self._log.head() != self._head:
+                self._look()
             if group := self._next_group():
                 self._derive(*group)
         except BaseException:
@@ -122,27 +127,45 @@ class Deriver:
             for name, each in sorted(self._derivations.items())
         ]
 
+    def check(self) -> None:
+        """Nothing, if no derived stream is stopped.
+
+        Raises:
+            FilterFailed: Some are; it says which and why.
+        """
+        if stopped := [error for name, error in sorted(self._errors.items()) if name in self._derivations]:
+            more = f" (and {len(stopped) - 1} more)" if len(stopped) > 1 else ""
+            raise FilterFailed(stopped[0] + more)
+
     def close(self) -> None:
         """Let go of what runs the conditions."""
-        self._runs.close()
+        if self._runs is not None:
+            self._runs.close()
 
-    def _look(self, head: int) -> None:
+    def _look(self) -> None:
         """Take up the plan, the streams, and the checkpoints as they are now."""
-        planned = planned_in(self._log, self._station)
-        if planned != self._planned:
-            self._planned = planned
-            self._errors.clear()
-            self._sieves.clear()
-            self._positions.clear()
-        self._derivations = {}
-        if planned is not None:
-            for stream in _bases(self._log.streams(), self._station):
-                self._note(stream, planned.plan)
+        head, heads = self._log.heads()
+        self._heed_plan(heads)
+        if self._planned is not None:
+            for base in _bases(heads, self._station) - self._looked_at:
+                self._note(base, self._planned.plan)
+                self._looked_at.add(base)
         if self._derivations.keys() - self._positions.keys():
             saved = self._log.checkpoints()
             self._saved = {name: saved.get(_checkpoint(name), _BEGIN).position for name in self._derivations}
             self._positions = {name: max(at, self._positions.get(name, 0)) for name, at in self._saved.items()}
         self._head = head
+
+    def _heed_plan(self, heads: Sequence[StreamHead]) -> None:
+        """Begin anew with the plan that the log names, if it is another."""
+        stream = plan_stream(self._station)
+        place = max(((each.epoch, each.sequence) for each in heads if each.stream == stream), default=None)
+        if place == self._plan_place:
+            return
+        self._planned = planned_in(self._log, self._station)
+        self._plan_place = place
+        for kept in (self._derivations, self._looked_at, self._errors, self._sieves, self._positions):
+            kept.clear()
 
     def _doubt(self) -> None:
         """Read the checkpoints again before the next step."""
@@ -170,6 +193,7 @@ class Deriver:
     def _sieve(self, entry: Entry, event_type: type[EventType]) -> Sieve:
         key = (entry.filter_digest, event_type.type_name)
         if key not in self._sieves:
+            self._runs = self._runs or database()  # most stations filter nothing, and need none
             self._sieves[key] = Sieve(entry, event_type, self._runs)
         return self._sieves[key]
 
@@ -272,14 +296,35 @@ class Deriver:
                 yield draft_of(name, batch, producer, encode_payload(batch))
 
 
+class DerivingChore:
+    """A deriver as further work of a daemon, in whose status it tells what is stopped."""
+
+    def __init__(self, deriver: Deriver) -> None:
+        self._deriver = deriver
+
+    def step(self, now: datetime) -> bool:
+        """Derive from one page of the log; whether more is waiting.
+
+        Raises:
+            FilterFailed: Nothing is waiting, but for streams that are stopped.
+            PlanError: The log's plan does not read here.
+            LogUnavailable: The database is away; nothing is lost, step again later.
+        """
+        del now  # what is derived depends on the log alone
+        if self._deriver.step():
+            return True
+        self._deriver.check()
+        return False
+
+
 def _checkpoint(stream: StreamName) -> str:
     return f"{CHECKPOINT}{stream}"
 
 
-def _bases(heads: Sequence[StreamHead], station: Station) -> list[StreamName]:
+def _bases(heads: Sequence[StreamHead], station: Station) -> set[StreamName]:
     """The station's streams that are not derived, each once whatever its epochs."""
     found = {head.stream for head in heads if head.stream.station == station and head.sequence}
-    return sorted(stream for stream in found if base_of(stream) is None)
+    return {stream for stream in found if base_of(stream) is None}
 
 
 def _bounded(segments: list[Segment], reached: int) -> tuple[list[Segment], int]:

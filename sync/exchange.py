@@ -141,7 +141,7 @@ class Exchange:
         )
 
 
-SESSION_CODES = ("session_over",)
+SESSION_CODES = ("no_session", "stale_challenge", "replayed")
 """Codes that say that a new hello begins a new session, and nothing else is wrong."""
 UPGRADE = "Next: bring station and central to the same ViAn: pip install --upgrade vian"
 

@@ -51,6 +51,10 @@ class Grants:
             if other != station:
                 raise GrantError(f"stations {other} and {station} share one token; give each its own")
 
+    def stations(self) -> list[Station]:
+        """The stations that have a token, by name."""
+        return sorted(self._stations.values())
+
     def station_of(self, token: str) -> Station | None:
         """The station for which the token speaks; None if there is none."""
         digest = hashlib.sha256(token.encode()).digest()

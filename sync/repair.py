@@ -13,16 +13,13 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from hashlib import sha256
-from typing import Annotated
-
-from pydantic import Field
 
 from events import Draft, Producer, Segment, SegmentsRepaired, Station, StreamName, batch_of, encode
 from store import BadRequest, ChainBroken, Log, SealedFileDamaged, verify
 from store.payloads import next_position, place_at, put_back, repair
 from store.walk import pages
 from sync.errors import Refusal, SyncError, WireError
-from sync.wire import Message, Range, Record, decode_records, encode_records, record_size
+from sync.wire import Range, Record, decode_records, encode_records, record_size
 
 PRODUCER = Producer("repairer", "1", sha256(b"{}").digest())
 NEIGHBOURS_MAX = 100
@@ -137,19 +134,24 @@ class Repairer:
         except (BadRequest, SyncError) as error:
             return Repaired(damage, 0, str(error))
 
-    def repair_all(self) -> Iterator[Repaired]:
+    def repair_all(self, *, only: Station | None = None) -> Iterator[Repaired]:
         """Put back damaged payloads, then whatever a verification still finds, until it finds nothing new.
+
+        Args:
+            only: Only streams of this station.
 
         Raises:
             LogUnavailable: The database is away, or the account may not.
         """
         for damage in list(damaged_payloads(self._log)):
-            yield self.repair(damage)
+            if only in (None, damage.stream.station):
+                yield self.repair(damage)
         tried: set[int] = set()
         while new := [each for each in self._broken() if each.position not in tried]:
             for damage in new:
                 tried.add(damage.position)
-                yield self.repair(damage)
+                if only in (None, damage.stream.station):
+                    yield self.repair(damage)
 
     def _broken(self) -> list[Damage]:
         return list(damaged_headers(self._log, verify(self._log).broken))
@@ -323,13 +325,6 @@ class Wanted:
             left = [each for each in kept if each.position not in mended]
             transaction.save_checkpoint(self._NAME, self._log.head(), _state(left))
         return sum(each.segments for each in done)
-
-
-class RepairAnswer(Message):
-    """What central put back of what a station sent again."""
-
-    repaired: Annotated[int, Field(ge=0)]
-    """segments"""
 
 
 def repair_with(

@@ -63,7 +63,17 @@ class Step:
     """What one step did."""
 
     did: Literal[
-        "planned", "hello", "sending", "sent", "countersigned", "chore", "nothing", "doubted", "stopped", "failed"
+        "planned",
+        "hello",
+        "sending",
+        "sent",
+        "countersigned",
+        "repaired",
+        "chore",
+        "nothing",
+        "doubted",
+        "stopped",
+        "failed",
     ]
     """`sending`: something is under way; `sent`: it was acknowledged."""
     sleep_s: float = 0.0

@@ -75,15 +75,19 @@ def works_of(planned: Planned, runs: Runs, turn: int, *, may_jump: bool) -> list
 
 
 class Share:
-    """Which of live traffic and backlog is next, so that backlog gets its least share while both wait."""
+    """Which of live traffic and backlog is next, so that backlog gets its least share while both wait.
+
+    What backlog is owed is paid a whole request at a time, so that a small alert seldom waits for it.
+    """
 
     def __init__(self) -> None:
         self._live = 0
         self._backlog = 0
 
-    def is_backlogs_turn(self, share: float) -> bool:
-        """Whether backlog has had less than its share since both began to wait."""
-        return self._backlog < share * (self._live + self._backlog)
+    def is_backlogs_turn(self, share: float, size: int) -> bool:
+        """Whether backlog is owed a request of that size since both began to wait."""
+        owed = share * (self._live + self._backlog) - self._backlog
+        return owed > 0 and owed >= share * size
 
     def sent(self, size: int, *, was_live: bool) -> None:
         """Count what was sent while both waited."""
@@ -105,14 +109,20 @@ def in_order(works: Iterable[Work]) -> list[Work]:
     return list(first.values())
 
 
-def chosen(works: Sequence[Work], share: Share, least_share: float) -> list[Work]:
+def chosen(works: Sequence[Work], share: Share, least_share: float, size: int) -> list[Work]:
     """The works for the next request, in the order in which they fill it: all live or all backlog.
 
     They never share a request: one that carries an alert is no larger than what is live.
+
+    Args:
+        works: All that waits.
+        share: What each had.
+        least_share: Of the bytes, backlog's.
+        size: Bytes of a full request.
     """
     live = in_order(work for work in works if work.is_live)
     backlog = in_order(work for work in works if not work.is_live)
     if not live or not backlog:
         share.begin()
         return live or backlog
-    return backlog if share.is_backlogs_turn(least_share) else live
+    return backlog if share.is_backlogs_turn(least_share, size) else live

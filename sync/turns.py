@@ -27,23 +27,20 @@ class Turns:
         self._changed = threading.Condition()
         self._through: OrderedDict[Station, OrderedDict[str, None]] = OrderedDict()
 
-    @contextmanager
-    def taken(self, station: Station, order: str, follows: str) -> Iterator[None]:
-        """Wait for the request that this one follows, and note when the block ends that this one is through.
-
-        Args:
-            station: Whose requests they are.
-            order: Name of this one; empty: none follows it.
-            follows: Name of the one before; empty: none.
-        """
+    def wait_for(self, station: Station, follows: str) -> None:
+        """Return when the station's request of that name is through or too late; empty: at once."""
         if follows:
             with self._changed:
                 self._changed.wait_for(lambda: follows in self._through.get(station, ()), self._wait_s)
+
+    @contextmanager
+    def named(self, station: Station, order: str) -> Iterator[None]:
+        """Note, when the block ends, that the station's request of that name is through; empty: it has none."""
         try:
             yield
         finally:
             if order:
-                self._note(station, order[:NAME_LENGTH_MAX])
+                self._note(station, order)
 
     def _note(self, station: Station, order: str) -> None:
         with self._changed:

@@ -374,6 +374,12 @@ class Countersigned(Message):
     time: AwareDatetime
 
 
+class RepairAnswer(Message):
+    """What central put back of the segments that it wanted and a station sent again."""
+
+    repaired: Annotated[int, Field(ge=0)]
+
+
 class Problem(Message):
     """Why a request was refused, and what to do next."""
 

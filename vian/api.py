@@ -14,16 +14,37 @@ from fastapi import FastAPI
 from fastapi.responses import JSONResponse
 
 from store import Log, LogUnavailable
-from sync.central import Storing, router
+from sync.access import Access
+from sync.central import Answers, Storing, router
 from sync.grants import Grantor
+from sync.problems import Note
 from vian.errors import WorldFailed
+from vian.tls import Certificate
 from vian.version import VERSION
 
 _START_SECONDS_MAX = 15.0
+_END_SECONDS_MAX = 5
 
 
-def create_app(log: Log, grants: Grantor | None, while_storing: Storing = nullcontext) -> FastAPI:
-    """The application over a log; with grants it takes stations' segments, and enters what is given meanwhile."""
+def create_app(
+    log: Log,
+    grants: Grantor | None = None,
+    *,
+    access: Access | None = None,
+    answers: Answers | None = None,
+    note: Note = lambda kind, got: None,
+    while_storing: Storing = nullcontext,
+) -> FastAPI:
+    """The application over a log; with grants or access it takes stations' segments.
+
+    Args:
+        log: The log.
+        grants: Which tokens speak for which station, of protocol version 1.
+        access: Which stations are enrolled, for version 2.
+        answers: Answers enrolled stations' questions.
+        note: Told of each request of a station that is refused.
+        while_storing: Entered while segments of a request are checked and stored.
+    """
     # The pages of documentation that FastAPI would serve need a CDN; the schema itself is served.
     app = FastAPI(title="ViAn", version=VERSION, docs_url=None, redoc_url=None)
 
@@ -40,8 +61,8 @@ def create_app(log: Log, grants: Grantor | None, while_storing: Storing = nullco
         except LogUnavailable:
             return JSONResponse({"status": "the database is away", "version": VERSION}, status_code=503)
 
-    if grants is not None:
-        app.include_router(router(log, grants, while_storing=while_storing))
+    if grants is not None or access is not None:
+        app.include_router(router(log, grants, access=access, answers=answers, note=note, while_storing=while_storing))
     return app
 
 
@@ -75,15 +96,26 @@ def bind(host: str, port: int) -> socket.socket:
 
 
 @contextmanager
-def serving(app: FastAPI, listening: socket.socket) -> Iterator[str]:
-    """The application served from a thread while the block runs; its address."""
-    server = uvicorn.Server(uvicorn.Config(app, log_config=None, lifespan="off"))
+def serving(app: FastAPI, listening: socket.socket, certificate: Certificate | None = None) -> Iterator[str]:
+    """The application served from a thread while the block runs, over TLS with a certificate; its address."""
+    shown, key = (None, None) if certificate is None else (certificate.certificate, certificate.key)
+    config = uvicorn.Config(
+        app,
+        log_config=None,
+        lifespan="off",
+        ssl_certfile=shown,
+        ssl_keyfile=key,
+        # A station that holds its connection open, or does not answer TLS's farewell, must not hold up the end.
+        timeout_graceful_shutdown=_END_SECONDS_MAX,
+    )
+    server = uvicorn.Server(config)
     thread = threading.Thread(target=server.run, kwargs={"sockets": [listening]}, name="vian-http", daemon=True)
     thread.start()
     try:
         _wait_until_started(server, thread)
         host, port = listening.getsockname()[:2]
-        yield f"http://{f'[{host}]' if ':' in host else host}:{port}"
+        scheme = "http" if certificate is None else "https"
+        yield f"{scheme}://{f'[{host}]' if ':' in host else host}:{port}"
     finally:
         server.should_exit = True
         thread.join(_START_SECONDS_MAX)

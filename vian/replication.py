@@ -15,6 +15,7 @@ from sync.checking import check_filters
 from sync.client_v1 import CentralV1
 from sync.daemon import Daemon
 from sync.deadlines import bounded
+from sync.deriving import Deriver, DerivingChore
 from sync.plan import Plan
 from sync.planning import planned_in
 from sync.reports import Pace, Step
@@ -100,10 +101,15 @@ def station_daemon(
         if transport is None:
             take_turns(client)
         bounds = bounded(client)
+        deriver = Deriver(log, station_name(station))
         try:
             link = CentralV1(client, token)
-            yield Daemon(log, station_name(station), plan, link, now=now, random=random.random, pace=PACE)
+            chores = (DerivingChore(deriver),)
+            yield Daemon(
+                log, station_name(station), plan, link, now=now, random=random.random, pace=PACE, chores=chores
+            )
         finally:
+            deriver.close()
             bounds.abort()
 
 

@@ -8,7 +8,7 @@ import re
 import socket
 import tomllib
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import platformdirs
 from pydantic import AfterValidator, Field, SecretStr, ValidationError
@@ -83,11 +83,21 @@ class Settings(BaseSettings):
     port: Annotated[int, Field(ge=0, le=65535)] = 8470
     """port that `vian serve` listens on; 0 takes a free one"""
     central: str | None = None
-    """address of the central server that `vian sync` replicates to, such as http://central.example:8470"""
+    """address of the central server that `vian sync` replicates to, such as https://central.example:8470"""
     token_file: HomePath | None = None
     """file with this station's token for the central server"""
     stations_file: HomePath | None = None
     """central server: TOML file with the stations that may replicate, `name = "SHA-256 of its token"`"""
+    tls: Literal["off", "generate"] = "off"
+    """central server: `generate` makes a certificate, kept in data_dir, which stations know from their enrolment"""
+    tls_certificate: HomePath | None = None
+    """central server: file with the operator's certificate and its chain, PEM; https is served then"""
+    tls_key: HomePath | None = None
+    """central server: file with the certificate's key, PEM, without a password; by default in the same file"""
+    token_minutes: Annotated[float, Field(gt=0, le=1440)] = 15.0
+    """central server: how long a station speaks after a hello before it must say it again, in minutes"""
+    invite_hours: Annotated[float, Field(gt=0)] = 24.0
+    """central server: how long the one-time code of `vian station invite` can be used, in hours"""
     plan: HomePath | None = None
     """YAML or TOML file of the sync plan, set at each start of `vian sync`; else the plan that was set last counts"""
     key_file: HomePath | None = None

@@ -99,6 +99,29 @@ def add_station(path: Path, station: str, token_file: Path | None = None) -> str
     return token
 
 
+def remove_station(path: Path, station: str) -> bool:
+    """Take a station's line out of the file; whether it had one.
+
+    Raises:
+        WrongUsage: The file is not right, or the line cannot be told from others.
+        WorldFailed: It cannot be written.
+    """
+    text = _text(path)
+    stations = _stations(text, path)
+    if station not in stations:
+        return False
+    kept = [line for line in text.splitlines(keepends=True) if not _is_line_of(line, station)]
+    if _stations("".join(kept), path) != {name: each for name, each in stations.items() if name != station}:
+        raise WrongUsage(f"{path}: the line of {station} cannot be told from others. Next: delete it by hand")
+    write_private(path, "".join(kept))
+    return True
+
+
+def _is_line_of(line: str, station: str) -> bool:
+    name, _, value = line.partition("=")
+    return bool(value) and name.strip().strip("\"'") == station
+
+
 def write_private(path: Path, text: str) -> None:
     """Write a file that only its owner may read, wholly or not at all.
 

@@ -59,6 +59,7 @@ declare
   above      stream_bases;
   after_hash bytea;
   last       bigint;
+  is_apart   boolean;
   is_held    boolean;
   jumps      integer[] := '{}';
   new_count  integer := 0;
@@ -93,10 +94,8 @@ begin
   for i in 1 .. n loop
     s := p_stream[i];
     sent_hash := substring(p_payload_hashes from 32 * i - 31 for 32);
-    after_hash := heads[s];
-    is_held := false;
-    above := null;
-    if p_expected[i] <> sequences[s] then
+    is_apart := p_expected[i] <> sequences[s];
+    if is_apart then
       -- The base at the upper end of the gap that it lies in, if it lies in one.
       select * into above from stream_bases b
         where b.stream_id = ids[s] and b.filled_sequence < b.sequence and b.sequence > p_expected[i]
@@ -115,9 +114,11 @@ begin
             detail = json_build_object('index', i - 1, 'actual', coalesce(above.filled_sequence, sequences[s]));
         end if;
       end if;
+    else
+      after_hash := heads[s];
     end if;
 
-    if is_held then
+    if is_apart and is_held then
       select * into twin from segments g
         where g.stream_id = ids[s] and g.first_sequence <= p_expected[i] + 1
         order by g.first_sequence desc limit 1;
@@ -152,7 +153,7 @@ begin
         || int8send((extract(epoch from p_time_max[i]) * 1000000)::bigint)
         || suffixes[p_by[i]] || sent_hash);
       new_count := new_count + 1;
-      if above.sequence is not null then
+      if is_apart and above.sequence is not null then
         if last > above.sequence then
           raise exception 'stream % is here already from %', ids[s], above.sequence + 1
             using errcode = 'VA001', detail = json_build_object('index', i - 1, 'actual', above.filled_sequence,
@@ -165,13 +166,13 @@ begin
         update stream_bases b set filled_sequence = last, filled_hash = chains[i]
           where b.stream_id = ids[s] and b.sequence = above.sequence;
       end if;
-      if p_expected[i] <> coalesce(above.filled_sequence, sequences[s]) then
+      if is_apart and p_expected[i] <> coalesce(above.filled_sequence, sequences[s]) then
         jumps := jumps || i;
         insert into stream_bases (stream_id, sequence, chain_hash, position, filled_sequence, filled_hash)
           values (ids[s], p_expected[i], after_hash, 0, coalesce(above.filled_sequence, sequences[s]),
             coalesce(above.filled_hash, heads[s]));
       end if;
-      if above.sequence is null then
+      if is_apart is not true or above.sequence is null then
         sequences[s] := last;
         heads[s] := chains[i];
       end if;

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from events import GENESIS, Run, Segment
+from events import GENESIS, Run, Segment, StreamName
 from store import BadRequest, ChainBroken, Log, SequenceConflict, verify
 from tests.store.replicas import deliver
 from tests.store.samples import GATE, YARD, append, draft, owner
@@ -59,6 +59,18 @@ def test_gaps_fill_from_below_and_runs_become_one(log: Log, sent: list[Segment])
     assert log.runs(GATE) == [Run(0, GENESIS, 100, sent[9].chain_hash)]
     assert [segment.chain_hash for segment in log.read(GATE)] == [segment.chain_hash for segment in sent]
     assert len(log.bases()) == 2
+
+
+def test_runs_can_be_had_of_one_station_or_all(log: Log, sent: list[Segment]) -> None:
+    deliver(log, sent, 8, 2, 0, 5, 1)
+    append(log, YARD, 3)
+    log.append([draft(StreamName.of("plzen", "roof", "track_point"), 1, 2)], epochs=[7])
+    every = log.all_runs()
+    assert every == log.standing().runs
+    assert {place: log.runs(*place) for place in every} == every
+    assert [(run.after, run.sequence) for run in every[GATE, 1]] == [(0, 30), (50, 60), (80, 90)]
+    assert [place[1] for place in log.all_runs(station="plzen")] == [7]
+    assert log.all_runs(station="nobody") == {}
 
 
 def test_what_fills_a_gap_takes_new_positions(log: Log, sent: list[Segment]) -> None:

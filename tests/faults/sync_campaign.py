@@ -41,6 +41,7 @@ from tests.faults.sync_load import (
     STATION,
     STREAMS,
     append_slowly,
+    enrol,
     serve_until_killed,
     sync_until_killed,
 )
@@ -128,6 +129,7 @@ class Campaign:
             self._make_log(each)
         self._station = opened(self._station_dir)
         self._central = opened(self._central_dir)
+        enrol(self._central)
         self._port = _free_port()
         self._link = Proxy(self._port, seed, weather=BAD)
         self._ledger: dict[StreamKey, int] = {}

@@ -16,25 +16,35 @@ from pathlib import Path
 
 import httpx
 import uvicorn
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from fastapi import FastAPI
 
 from events import StreamName, station_name
-from store import Appender, Log, LogUnavailable, StoreError
-from sync import Daemon, Grants, Limits, Pace, Plan, Step, router, token_hash
-from sync.client_v1 import CentralV1
+from store import Appender, Log, LogUnavailable, Signer, StationKey, StoreError
+from sync import Daemon, Limits, Pace, Plan, Step, router
+from sync.access import Access
+from sync.client import Central
+from sync.deriving import Deriver
+from sync.enrolment import new_secret
+from sync.planning import planned_in
+from sync.signing import RequestSigner
+from sync.wire import PATH
 from tests.faults.load import WAIT_S, frames, opened, persistently
 from tests.store.samples import NOON, PRODUCER
 
 STATION = station_name("brno")
 SOURCES = ("gate", "yard", "roof")
 STREAMS = tuple(StreamName.of(STATION, source, "track_point") for source in SOURCES)
-TOKEN = "a-token-of-brno-that-nobody-guesses"
+CENTRAL = station_name("central")
+STATION_KEY, CENTRAL_KEY = (StationKey(Ed25519PrivateKey.from_private_bytes(bytes([n] * 32))) for n in (1, 2))
+EVERYTHING = Plan.of({"entries": [{"stream": "*/*/*"}]})
+SIGN_EVERY_S = 0.5
 BATCH_MAX = 5
 APPEND_EVERY_S = 0.02
 """Pause between two appends: the load must leave room for what is tried."""
 ANSWER_S_MAX = 0.7
 """Longest wait of the daemon for an answer."""
-PACE = Pace(request_bytes=3000, backoff_s=0.005, backoff_s_max=0.2, idle_s=1.0)
+PACE = Pace(3000, 3000, in_flight=2, backoff_s=0.005, backoff_s_max=0.2, idle_s=1.0)
 """Small requests and short pauses, so that there are many requests to hit."""
 
 _LOOK_EVERY_S = 0.05
@@ -74,23 +84,40 @@ def append_slowly(data_dir: Path, seed: int, say: Connection) -> None:
 def sync_until_killed(data_dir: Path, port: int, seed: int, say: Connection) -> None:
     """Run the station's daemon against central's port, and say of each step what it did, and its error."""
     with _open(data_dir) as log, httpx.Client(base_url=f"http://127.0.0.1:{port}", timeout=ANSWER_S_MAX) as client:
-        daemon = persistently(
-            log,
-            lambda: Daemon(
+
+        def made() -> Daemon:
+            planned = planned_in(log, STATION)
+            return Daemon(
                 log,
                 STATION,
-                Plan.of({"entries": [{"stream": "*/*/*"}]}),
-                CentralV1(client, TOKEN),
+                EVERYTHING if planned is None else planned.plan,
+                Central(client, RequestSigner(STATION_KEY, STATION, CENTRAL_KEY.id, PATH)),
                 now=lambda: clock(data_dir / "clock"),
                 random=random.Random(seed).random,
                 pace=PACE,
-            ),
-        )
+                chores=(Signing(log), Deriver(log, STATION)),
+                central_key=CENTRAL_KEY.public,
+            )
 
         def tell(step: Step) -> None:
             say.send((step.did, f"{type(step.error).__name__}: {step.error}" if step.error else None))
 
-        daemon.run(threading.Event(), tell)
+        persistently(log, made).run(threading.Event(), tell)
+
+
+class Signing:
+    """Signs the station's log now and then, so that there is something to countersign."""
+
+    def __init__(self, log: Log) -> None:
+        self._signer = Signer(log, STATION, lambda: STATION_KEY, lambda: NOON)
+        self._next_at = 0.0
+
+    def step(self, now: datetime) -> bool:
+        """Sign what is new, if it is time."""
+        if time.monotonic() > self._next_at:
+            self._signer.sign()
+            self._next_at = time.monotonic() + SIGN_EVERY_S
+        return False
 
 
 def serve_until_killed(data_dir: Path, port: int, say: Connection) -> None:
@@ -99,18 +126,22 @@ def serve_until_killed(data_dir: Path, port: int, say: Connection) -> None:
     with _open(data_dir) as log:
         listening = socket.create_server(("127.0.0.1", port))
         listening.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        access = Access(log, CENTRAL, CENTRAL_KEY, now=lambda: clock(data_dir / "clock"))
+        persistently(log, access.registry.recover)
         app = FastAPI()
-        app.include_router(
-            router(
-                log,
-                Grants({STATION: token_hash(TOKEN)}),
-                Limits(idle_s_max=2.0),
-                now=lambda: clock(data_dir / "clock"),
-            )
-        )
+        limits = Limits(idle_s_max=2.0)
+        app.include_router(router(log, None, limits, now=lambda: clock(data_dir / "clock"), access=access))
         threading.Thread(target=_keep, args=(log,), daemon=True).start()
         say.send("ready")
         uvicorn.Server(uvicorn.Config(app, log_config=None, lifespan="off", ws="none")).run(sockets=[listening])
+
+
+def enrol(log: Log) -> None:
+    """Take the station in at central."""
+    now = datetime.now(UTC)
+    registry, secret = Access(log, CENTRAL, CENTRAL_KEY, now=lambda: now).registry, new_secret()
+    registry.invite(STATION, secret, ("replicate",), (), now + timedelta(hours=1))
+    registry.enrol(STATION, secret, STATION_KEY.public, "192.0.2.7")
 
 
 def _open(data_dir: Path) -> Log:

@@ -4,31 +4,29 @@ One uvicorn serves the session; each test's application hangs under a path of it
 proxy. Each log is a database of its own.
 """
 
-import json
 import random
 import socket
 import threading
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator
 from datetime import UTC, datetime, timedelta
-from typing import Annotated, Any
+from hashlib import sha256
+from typing import Any
 
 import httpx
 import pytest
 import uvicorn
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
-from fastapi import APIRouter, Depends, FastAPI, Header, Request
+from fastapi import FastAPI
 
 from events import Producer, Segment, Station, StreamName, TrackPoint, batch_of, encode, station_name
 from store import Log, StationKey
-from sync import Daemon, Grants, Limits, Pace, Plan, WireError, router, token_hash
-from sync.apply import answer_hello_2, apply_2
+from sync import Daemon, Grants, Limits, Pace, Plan, router, token_hash
+from sync.access import Access
 from sync.client import Central
 from sync.client_v1 import CentralV1
-from sync.countersigning import countersign
-from sync.problems import cursors_2, problem_route
-from sync.turns import Turns
-from sync.wire import Challenge, Countersigned, HelloAnswer, SegmentsAnswer, decode_records
+from sync.enrolment import new_secret
+from sync.signing import RequestSigner
+from sync.wire import PATH
 
 BRNO = station_name("brno-2")
 TOKEN = "a-token-of-brno-2-that-nobody-guesses"
@@ -102,6 +100,7 @@ class Faults(httpx.BaseTransport):
         self.next: str | None = None
         self.where = 0.5
         self.exchanges: list[str] = []
+        self.bodies: list[bytes] = []
         self.injected = 0
 
     def close(self) -> None:
@@ -121,6 +120,7 @@ class Faults(httpx.BaseTransport):
         self.injected += fault is not None
         body = request.read()
         self.exchanges.append(request.url.path.rsplit("/", 1)[-1])
+        self.bodies.append(body)
         at = int(self.where * (len(body) - 1))
         if fault == "cut before sending":
             raise httpx.ConnectError("connection refused", request=request)
@@ -212,58 +212,48 @@ def serve(switchboard: tuple[str, Switchboard]) -> Serve:
     return start
 
 
-def central_app(log: Log, grants: Grants = GRANTS, limits: Limits | None = None) -> FastAPI:
+def key_of(name: str) -> StationKey:
+    """A station's key, the same in each process of a test."""
+    return StationKey(Ed25519PrivateKey.from_private_bytes(sha256(name.encode()).digest()))
+
+
+CENTRAL = station_name("central")
+CENTRAL_KEY = key_of("central")
+
+
+def central_app(
+    log: Log, grants: Grants = GRANTS, limits: Limits | None = None, enrolled: Iterable[Station] = (BRNO,)
+) -> FastAPI:
+    """A central server that knows the stations of the grants in protocol 1, and those enrolled in protocol 2."""
+    access = Access(log, CENTRAL, CENTRAL_KEY, now=real_now)
+    for station in enrolled:
+        if access.registry.station(station) is None:
+            enrol(access, station)
     app = FastAPI()
-    app.include_router(router(log, grants, limits, now=lambda: NOON + timedelta(seconds=3)))
-    app.include_router(unsigned(log, limits or Limits()))
+    app.include_router(router(log, grants, limits, now=central_now, access=access))
     return app
 
 
-@dataclass(frozen=True)
-class Speaker:
-    station: Station
+def central_now() -> datetime:
+    """Central's clock, which is ahead of the station's."""
+    return NOON + timedelta(seconds=3)
 
 
-CENTRAL_KEY = StationKey(Ed25519PrivateKey.generate())
+def real_now() -> datetime:
+    """The time, by which challenges and tokens end."""
+    return datetime.now(UTC)
 
 
-def unsigned(log: Log, limits: Limits) -> APIRouter:
-    """Protocol 2 without signatures: who speaks is believed."""
-    api = APIRouter(prefix="/sync/v2", route_class=problem_route(lambda kind, got: None, cursors_2))
-    most = {"body_bytes_max": limits.body_bytes_max, "segments_max": limits.segments_max}
-    turns = Turns()
+def enrol(access: Access, station: Station) -> None:
+    """Take a station in, by its key."""
+    secret = new_secret()
+    access.registry.invite(station, secret, ("replicate",), (), real_now() + timedelta(hours=1))
+    access.registry.enrol(station, secret, key_of(station).public, "192.0.2.7")
 
-    async def body_of(request: Request) -> bytes:
-        return await request.body()
 
-    Body = Annotated[bytes, Depends(body_of)]
-
-    @api.post("/challenge")
-    def challenge(body: Body) -> Challenge:
-        return Challenge(challenge="c", central="none", expires_s=60)
-
-    @api.post("/hello")
-    def hello(body: Body) -> HelloAnswer:
-        speaker = Speaker(
-            Station(json.loads(body)["station"]) if body.startswith(b"{") and body.endswith(b"}") else BRNO
-        )
-        return answer_hello_2(log, speaker, body, **most, now=lambda: NOON + timedelta(seconds=3))
-
-    @api.post("/segments")
-    def segments(
-        body: Body, vian_order: Annotated[str, Header()] = "", vian_follows: Annotated[str, Header()] = ""
-    ) -> SegmentsAnswer:
-        try:
-            station = decode_records(body)[0].segment.stream.station
-        except WireError:
-            station = BRNO
-        return apply_2(log, Speaker(station), body, **most, turns=turns, order=vian_order, follows=vian_follows)
-
-    @api.post("/countersign")
-    def countersigned(body: Body) -> Countersigned:
-        return countersign(log, BRNO, body, CENTRAL_KEY, NOON)
-
-    return api
+def signed_link(client: httpx.Client, station: Station = BRNO) -> Central:
+    """Central as that station sees it in protocol 2."""
+    return Central(client, RequestSigner(key_of(station), station, CENTRAL_KEY.id, PATH))
 
 
 @pytest.fixture
@@ -303,6 +293,9 @@ def make_daemon(station_log: Log, faults: Faults, request: pytest.FixtureRequest
         token: str = TOKEN,
         pace: Pace | None = None,
         protocol: int = 2,
+        seed: int = 1,
+        now: Callable[[], datetime] = lambda: NOON,
+        **more: Any,
     ) -> Daemon:
         base_url = address or request.getfixturevalue("central")
         clients.append(httpx.Client(base_url=base_url, transport=faults))
@@ -310,10 +303,11 @@ def make_daemon(station_log: Log, faults: Faults, request: pytest.FixtureRequest
             log,
             station,
             plan,
-            CentralV1(clients[-1], token) if protocol == 1 else Central(clients[-1], None),
-            now=lambda: NOON,
-            random=random.Random(1).random,
+            CentralV1(clients[-1], token) if protocol == 1 else signed_link(clients[-1], station),
+            now=now,
+            random=random.Random(seed).random,
             pace=pace or Pace(backoff_s=0.001, backoff_s_max=0.01),
+            **more,
         )
 
     yield make

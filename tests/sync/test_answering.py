@@ -19,6 +19,7 @@ from tests.conftest import Server
 from tests.store.samples import on_both
 from tests.sync.asking import EVERYBODY, answering, audit, caller, find, plate, project, query, situation, tell
 from tests.sync.conftest import NOON
+from tests.sync.test_selects import ALLOWED
 
 BRNO = caller("brno-2")
 
@@ -197,6 +198,14 @@ def test_an_answer_ends_at_its_limits_and_says_so(central: Log) -> None:
     assert [(event.outcome, event.row_count) for event in audit(central)] == [
         ("answered", 9), ("cut", 2), ("cut", 4), ("cut", 2), ("refused", 0),
     ]  # fmt: skip
+
+
+def test_whatever_may_be_asked_is_answered(central: Log) -> None:
+    for sql in [*ALLOWED, "select plate_key(plate), frame % 2 = 1 from plate_read", HUNDRED]:
+        query(central, sql)
+
+
+HUNDRED = f"select {', '.join(f'{n} as c{n}' for n in range(100))}"
 
 
 def test_a_question_that_is_not_right_is_refused_with_what_is_wrong(central: Log) -> None:

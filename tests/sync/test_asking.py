@@ -3,17 +3,21 @@
 from collections.abc import Callable, Iterator
 
 import httpx
+import psycopg
 import pytest
 from fastapi import FastAPI
 
 from store import Log
 from sync.access import Access
+from sync.asking import Desk
 from sync.central import router
+from sync.client import Central, Greeting
+from sync.errors import NotAuthorised, Refused
 from sync.questions import QUESTION_BYTES_MAX, Answer, FindQuestion, QueryQuestion
 from sync.signing import RequestSigner
 from sync.wire import PATH, parse
 from tests.sync.asking import CENTRAL, answering, audit, plate, project, tell
-from tests.sync.conftest import NOON, Serve
+from tests.sync.conftest import BRNO, NOON, Serve
 from tests.sync.test_access import CENTRAL_KEY, KEY, OSLO, OTHER_KEY, enrol
 
 PLATES = FindQuestion(kind="plate", plate="*")
@@ -57,6 +61,28 @@ class Asker:
 
 
 Begin = Callable[..., Asker]
+
+
+def greeting() -> Greeting:
+    return Greeting(BRNO, 1, NOON, heads=(), believed=None, checkpoint=None)
+
+
+def test_a_desk_begins_a_session_and_begins_it_anew_where_central_lost_it(
+    address: str, access: Access, central_log: Log
+) -> None:
+    enrol(access, operations=("find", "query"), reads=("*",))
+    with httpx.Client(base_url=address) as client:
+        desk = Desk(Central(client, RequestSigner(KEY, "brno-2", CENTRAL_KEY.id, PATH)), greeting)
+        assert len(desk.find(PLATES).rows) == 3
+        assert desk.query(COUNT).rows == ((3,),)
+        with psycopg.connect(central_log.dsn, autocommit=True) as connection:
+            connection.execute("delete from sync_tokens")
+        assert desk.query(COUNT).rows == ((3,),)
+        with pytest.raises(Refused, match=r"pg_sleep is not for questions \(line 1, column 8\)"):
+            desk.query(QueryQuestion(sql="select pg_sleep(9)"))
+        access.registry.revoke("brno-2")
+        with pytest.raises(NotAuthorised, match="revoked"):
+            desk.query(COUNT)
 
 
 @pytest.fixture

@@ -32,6 +32,12 @@ from tests.sync.conftest import (
 
 
 @pytest.fixture
+def central(central_log: Log, serve: Serve) -> str:
+    """Address of a central server over `central_log`, which knows no station but by its token."""
+    return serve(central_app(central_log, enrolled=()))
+
+
+@pytest.fixture
 def post(central: str) -> Iterator[Callable[..., httpx.Response]]:
     """Posts a body to central, as station brno-2 unless told otherwise."""
     with httpx.Client(base_url=central) as client:
@@ -283,7 +289,7 @@ def test_another_protocol_version_is_told_which_one_is_spoken(post: Callable[...
 @pytest.fixture
 def narrow(central_log: Log, serve: Serve) -> str:
     limits = Limits(body_bytes_max=10_000, segments_max=3, hello_bytes_max=1000, idle_s_max=0.05)
-    return serve(central_app(central_log, limits=limits))
+    return serve(central_app(central_log, limits=limits, enrolled=()))
 
 
 @pytest.mark.parametrize("endpoint, limit", [("segments", 10_000), ("hello", 1000)])
@@ -335,7 +341,7 @@ def test_a_body_that_stops_coming_is_given_up(narrow: str) -> None:
 
 
 def test_a_connection_lost_in_the_body_stores_nothing_and_ends_the_request(central_log: Log, serve: Serve) -> None:
-    app, statuses = central_app(central_log), queue.Queue[int]()
+    app, statuses = central_app(central_log, enrolled=()), queue.Queue[int]()
 
     async def watched(scope: Any, receive: Any, send: Any) -> None:
         async def note(message: Any) -> None:

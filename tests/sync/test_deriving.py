@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from events import Catalogue, EventType, PlateRead, StreamName, batch_of, decode, encode, events_of
 from store import Log, LogUnavailable, verify
 from store.log import Transaction
-from sync import Plan
-from sync.deriving import Deriver
+from sync import FilterFailed, Plan
+from sync.deriving import Deriver, DerivingChore
 from sync.entries import derived_name
 from sync.planning import plan_stream, set_plan
 from tests.store.tiered import seal_all
@@ -38,7 +38,7 @@ def plan(log: Log, *entries: dict[str, Any]) -> Plan:
 
 def run(deriver: Deriver, steps: int = 1000) -> int:
     """Step until nothing is waiting; how often."""
-    return next(number for number in range(1, steps + 1) if not deriver.step(NOON))
+    return next(number for number in range(1, steps + 1) if not deriver.step())
 
 
 def derived(log: Log, made_of: Plan, base: StreamName = GATE) -> list[Any]:
@@ -74,9 +74,9 @@ def test_a_derived_stream_has_what_its_filter_lets_through_and_its_own_sequence(
 def test_nothing_is_derived_where_no_plan_asks_for_it(station_log: Log) -> None:
     append_points(station_log, GATE, [10])
     deriver = Deriver(station_log, BRNO)
-    assert not deriver.step(NOON)
+    assert not deriver.step()
     plan(station_log)
-    assert not deriver.step(NOON)
+    assert not deriver.step()
     assert (deriver.standing(), len(station_log.streams())) == ([], 2)
 
 
@@ -237,7 +237,7 @@ def _any_steps(log: Log, data: st.DataObject) -> None:
                 _kill(derivers[0], patch, is_before=data.draw(st.booleans()))
                 derivers[0] = Deriver(log, BRNO)
             else:
-                derivers[move != "step"].step(NOON)
+                derivers[move != "step"].step()
         for number, entry in enumerate(entries):
             plans[number] = plan(log, entry)
             run(derivers[0])
@@ -258,7 +258,7 @@ def _kill(deriver: Deriver, patch: pytest.MonkeyPatch, *, is_before: bool) -> No
     with patch.context() as inner:
         inner.setattr(Transaction, "append", dies)
         with contextlib.suppress(Killed):
-            deriver.step(NOON)
+            deriver.step()
 
 
 def _check_exact(log: Log, plans: dict[int, Plan]) -> None:
@@ -285,7 +285,7 @@ def test_what_was_committed_without_an_answer_is_not_derived_again(
     with monkeypatch.context() as patch:
         patch.setattr(type(station_log.transaction()), "__exit__", lost)
         with pytest.raises(LogUnavailable):
-            deriver.step(NOON)
+            deriver.step()
     run(deriver)
     assert frames(derived(station_log, made)) == list(range(10))
 
@@ -314,6 +314,8 @@ def test_what_cannot_be_filtered_is_told_and_the_others_go_on(station_log: Log) 
     deriver = Deriver(station_log, BRNO)
     run(deriver)
     gate, yard = deriver.standing()
+    with pytest.raises(FilterFailed, match="is stopped before position"):
+        DerivingChore(deriver).step(NOON)
 
     assert (yard.error, frames(derived(station_log, made, YARD))) == (None, [1])
     assert gate.error is not None
@@ -322,6 +324,7 @@ def test_what_cannot_be_filtered_is_told_and_the_others_go_on(station_log: Log) 
     made = plan(station_log, filtered("frame < 4"), filtered("frame = 1", "*/yard/track_point"))
     run(deriver)
     assert [each.error for each in deriver.standing()] == [None, None]
+    assert not DerivingChore(deriver).step(NOON)
     assert frames(derived(station_log, made)) == [0, 1, 2, 3]
 
 
@@ -360,7 +363,7 @@ def test_a_source_with_a_name_too_long_is_told(station_log: Log) -> None:
     append_points(station_log, long, [3])
     plan(station_log, filtered("frame > 0", "*/*/track_point"))
     deriver = Deriver(station_log, BRNO)
-    assert not deriver.step(NOON)
+    assert not deriver.step()
     (standing,) = deriver.standing()
     assert "the name of its source has 60 characters" in str(standing.error)
 

@@ -9,9 +9,11 @@ import pytest
 
 from events import CheckpointCountersigned, SegmentsPruned, Station, StreamName, decode, events_of
 from store import Log, Sealer, StoreError, verify
+from store.payloads import take_off
 from sync.pruning import Pruner
 from tests.store.samples import GATE, NOON, YARD, append, draft_of, owner, query
 from tests.store.tiered import seal_all
+from tests.sync.conftest import MakeDaemon
 
 BRNO = Station("brno")
 LATER = datetime.now(UTC) + timedelta(days=40)
@@ -216,3 +218,25 @@ def test_a_file_whose_rewriting_was_interrupted_is_whole_and_cleared_away(log: L
     found = verify(log, station="brno")
     assert (found.is_sound, found.hollow) == (True, 2)
     assert len(list((tmp_path / "_sealed").iterdir())) == 1
+
+
+@pytest.mark.parametrize("protocol", [1, 2])
+def test_a_segment_whose_payload_was_gone_before_it_was_sent_reaches_central_as_it_is(
+    station_log: Log, central_log: Log, make_daemon: MakeDaemon, protocol: int
+) -> None:
+    gate, yard = (StreamName.of("brno-2", source, "track_point") for source in ("gate", "yard"))
+    append(station_log, gate, 3, 2)
+    append(station_log, yard, 4)
+    with station_log.transaction() as transaction:
+        take_off(transaction, [1])
+    daemon = make_daemon(protocol=protocol)
+    while daemon.step().did != "nothing":
+        pass
+    assert whole(central_log, yard) == [True]
+    if protocol == 2:
+        assert whole(central_log, gate) == [False, True]
+        assert verify(central_log, station="central").is_sound
+        return
+    (stopped,) = [each for each in daemon.status().streams if each.error is not None]
+    assert stopped.stream == gate
+    assert "its payload left the disk, which protocol 1 cannot say" in str(stopped.error)

@@ -46,7 +46,7 @@ def test_each_key_of_each_message_is_told(module: ModuleType, text: str) -> None
 
 
 def test_each_problem_is_told() -> None:
-    names = ("access", "apply", "bodies", "central", "countersigning", "enrolment", "registry", "sessions")
+    names = ("access", "apply", "bodies", "central", "countersigning", "enrolment", "registry", "sessions", "unpacking")
     sources = "".join((ROOT / "sync" / f"{name}.py").read_text(encoding="utf-8") for name in names)
     refusals = re.findall(r'(?:Refusal\(\s*\d+,\s*|corrupt\(segment, |_no_code\(|code, first = )"(\w+)"', sources)
     codes = {*refusals, "false_header", "bad_header", "other_history", "other_bytes"}

@@ -13,9 +13,12 @@ from store import Log, verify
 from store.payloads import take_off
 from sync.access import Access
 from sync.central import router
-from sync.errors import CentralUnreachable, Refusal
+from sync.client import Central, Greeting
+from sync.daemon import Daemon
+from sync.errors import CentralUnreachable, Refusal, Refused
+from sync.plan import Plan
 from sync.repair import Repaired, Repairer, Wanted, damaged_payloads, hollow_payloads, records_for
-from sync.wire import PATH, Range, decode_records
+from sync.wire import Range, decode_records
 from tests.store.samples import GATE, NOON, YARD, append, owner
 from tests.sync.conftest import Serve
 from tests.sync.test_access import CENTRAL_KEY, KEY, Sender, enrol
@@ -247,34 +250,59 @@ def test_what_a_log_wants_back_is_asked_until_it_was_put_back(station: Log, cent
     assert repairs(central) == [(str(GATE), 4, 5, 1, "brno"), (str(YARD), 3, 4, 1, "brno")]
 
 
-def test_over_http_an_enrolled_station_reads_back_its_own_segments_and_sends_again_what_is_wanted(
-    station: Log, central: Log, serve: Serve
-) -> None:
+@pytest.fixture
+def link(central: Log, serve: Serve) -> Iterator[Central]:
+    """Central over HTTP, as the enrolled station brno sees it."""
     app = FastAPI()
     access = Access(central, Station("praha"), CENTRAL_KEY, now=lambda: NOON)
     app.include_router(router(central, None, access=access, now=lambda: NOON))
     enrol(access, BRNO, KEY)
-    speaking = Sender(access, "brno")
-    speaking.hello()
-    address = serve(app)
+    with httpx.Client(base_url=serve(app)) as client:
+        yield Central(client, Sender(access, "brno").signer)
 
-    def post(endpoint: str, body: bytes) -> httpx.Response:
-        return httpx.post(f"{address}{PATH}/{endpoint}", content=body, auth=speaking.signer)
 
-    def asked(stream: StreamName) -> bytes:
-        return Range(stream=str(stream), epoch=1, first_sequence=4, last_sequence=5).encoded()
+def greeting(station: Log) -> Greeting:
+    return Greeting(BRNO, station.epoch, NOON, station.streams(), None, None)
 
-    answer = post("segments/read", asked(GATE))
-    (record,) = decode_records(answer.content)
-    assert record.segment.payload == list(station.read(GATE))[1].payload
-    foreign = post("segments/read", asked(StreamName.of("plzen", "gate", "track_point")))
-    assert (foreign.status_code, foreign.json()["code"]) == (403, "foreign_stream")
+
+def damage_central(central: Log) -> None:
     with owner(central) as connection:
         connection.execute("set session_replication_role = replica")
-        connection.execute("update segments set payload = 'x' where position = 2")
+        connection.execute("update segments set payload = 'x' where position in (2, 6)")
     Wanted(central).ask(list(damaged_payloads(central)))
-    (damage,) = Wanted(central).of(BRNO)
-    again = records_for(station, BRNO, damage.wanted(), bytes_max=MAX, segments_max=10)
-    assert post("segments/repair", again).json() == {"repaired": 1}
-    assert post("segments/repair", b"nothing").json()["code"] == "bad_body"
+
+
+def test_over_http_an_enrolled_station_reads_back_its_own_segments(
+    station: Log, link: Central, tampering: "psycopg.Connection[object]"
+) -> None:
+    link.hello(greeting(station))
+    before = contents(station)
+    tampering.execute("update segments set event_count = 9, payload = 'x' where position = 2")
+    done = list(Repairer(station, BRNO, link.read, "central", lambda: NOON).repair_all())
+    assert all_done(done)
+    assert contents(station) == before
+    with pytest.raises(Refused, match="a station reads back its own streams only"):
+        link.read(Range(stream="plzen/gate/track_point", epoch=1, first_sequence=1, last_sequence=2))
+
+
+def test_over_http_it_sends_again_what_central_wants_back(station: Log, central: Log, link: Central) -> None:
+    damage_central(central)
+    for wanted in link.hello(greeting(station)).wanted:
+        body = records_for(station, BRNO, wanted, bytes_max=MAX, segments_max=10)
+        assert link.repair(body).repaired == 1
+    assert link.hello(greeting(station)).wanted == ()
+    with pytest.raises(Refused, match="the body does not hold segments"):
+        link.repair(b"nothing")
     assert verify(central, station="praha").is_sound
+
+
+def test_a_daemon_does_so_by_itself(station: Log, central: Log, link: Central) -> None:
+    damage_central(central)
+    plan = Plan.of({"entries": [{"stream": "*/*/track_point"}]})
+    daemon = Daemon(station, BRNO, plan, link, now=lambda: NOON, random=lambda: 0.5)
+    did = []
+    while "nothing" not in did:
+        did.append(daemon.step().did)
+    assert did.count("repaired") == 2
+    assert verify(central, station="praha").is_sound
+    assert [each.payload for each in contents(central)] == [each.payload for each in contents(station)]

@@ -7,7 +7,8 @@ import typer
 from psycopg.conninfo import conninfo_to_dict, make_conninfo
 
 from events import Segment, UnknownType, decode, events_of
-from store import Log, Subscription
+from store import Log, Standing, StreamHead, Subscription
+from store.verification import gaps_in
 from vian import options
 from vian.errors import WorldFailed
 from vian.options import check_known, opened, settings_for
@@ -33,10 +34,20 @@ def register(app: typer.Typer) -> None:
 
 
 def streams(data_dir: options.DataDir = None, dsn: options.Dsn = None, as_json: options.Json = False) -> None:
-    """List the streams: how many events each has, and its newest chain hash."""
+    """List the streams: how many events each has, its newest chain hash, and which sequences are not here."""
     with opened(settings_for(data_dir, dsn), data_dir=data_dir) as log:
-        rows = [(str(head.stream), head.epoch, head.sequence, head.chain_hash.hex()) for head in log.streams()]
-    Output(is_json=as_json).table("", ("stream", "epoch", "sequence", "chain_hash"), rows)
+        standing = log.standing()
+    rows = [
+        (str(head.stream), head.epoch, head.sequence, head.chain_hash.hex(), _gaps(standing, head))
+        for head in standing.heads
+    ]
+    Output(is_json=as_json).table("", ("stream", "epoch", "sequence", "chain_hash", "not_here"), rows)
+
+
+def _gaps(standing: Standing, head: StreamHead) -> str:
+    """The sequences of a stream that are not here, for people."""
+    place = (head.stream, head.epoch)
+    return ", ".join(f"{gap.first} to {gap.last}" for gap in gaps_in({place: standing.runs.get(place, [])}))
 
 
 def tail(

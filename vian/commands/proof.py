@@ -8,6 +8,7 @@ from store import (
     BadProof,
     ChainBroken,
     Covered,
+    Gap,
     Log,
     StoreError,
     Verification,
@@ -90,17 +91,18 @@ def sign(
         output.result({"signed": False, "position": signer.position}, "nothing new to sign")
         return
     statement = signed.statement
+    streams = len({(head.stream, head.epoch) for head in statement.heads})
     output.result(
         {
             "signed": True,
             "station": statement.station,
             "checkpoint": signed.sequence,
             "position": statement.position,
-            "streams": len(statement.heads),
+            "streams": streams,
             "key_id": key_id(statement.public_key),
             "time": statement.time,
         },
-        f"signed: checkpoint {signed.sequence} of station {statement.station}, {len(statement.heads)} streams up to "
+        f"signed: checkpoint {signed.sequence} of station {statement.station}, {streams} streams up to "
         f"position {statement.position}, with key {key_id(statement.public_key)}",
     )
 
@@ -187,6 +189,15 @@ def _sound(found: Verification, verified: Verified) -> dict[str, Any]:
         "position": found.position,
         "segments_read": found.segments,
         "segments_without_payload": found.hollow,
+        "gaps": [
+            {
+                "stream": str(gap.stream),
+                "epoch": gap.epoch,
+                "first_sequence": gap.first,
+                "last_sequence": gap.last,
+            }
+            for gap in found.gaps
+        ],
         "signed": [
             {
                 "station": each.station,
@@ -210,7 +221,14 @@ def _told(found: Verification, verified: Verified) -> str:
     )
     if found.since:
         text += f"; up to position {found.since} it was found sound before and not read again (--full does)"
-    return "\n".join([text, *_hollow(found), *map(_signed, found.covered)])
+    return "\n".join([text, *_hollow(found), *map(_gap, found.gaps), *map(_signed, found.covered)])
+
+
+def _gap(gap: Gap) -> str:
+    return (
+        f"not here: {gap.stream}, epoch {gap.epoch}, sequences {gap.first} to {gap.last}: the station began behind "
+        "them, as its plan says, or sends them later"
+    )
 
 
 def _hollow(found: Verification) -> list[str]:

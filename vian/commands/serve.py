@@ -7,16 +7,21 @@ other commands, which are interrupted before their end, end with 130.
 import signal
 import threading
 from contextlib import ExitStack
+from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 from types import FrameType
 from typing import Annotated
 
+import structlog
 import typer
 
 from patterns.engine.compiling import compiling_beside
 from store import Log, Projector
+from sync.access import Access
+from sync.refusals import Refusals
 from vian import logs, options
+from vian.admission import access_for, certificate_of, refusals_for, refusals_part
 from vian.api import bind, create_app, serving
 from vian.errors import WrongUsage
 from vian.options import opened, settings_for
@@ -33,6 +38,8 @@ from vian.staging import stages_beside_that_run, stages_part
 from vian.stations import StationsFile, read_token
 from vian.watching import check_there, processor_part
 
+logger = structlog.get_logger()
+
 STEP_SECONDS = 1.0
 
 
@@ -45,7 +52,7 @@ class Role(StrEnum):
 
 def register(app: typer.Typer) -> None:
     """Add the command."""
-    app.command(epilog="Example: vian serve --role central --stations-file stations.toml --port 8470")(serve)
+    app.command(epilog="Example: vian serve --role central --tls generate --host 0.0.0.0")(serve)
 
 
 def serve(
@@ -64,6 +71,16 @@ def serve(
     central: Annotated[str | None, typer.Option("--central", help="Station: address of the central server.")] = None,
     token_file: Annotated[Path | None, typer.Option("--token-file", help="Station: its token.")] = None,
     plan: Annotated[Path | None, typer.Option("--plan", help="Station: which streams, in which order.")] = None,
+    tls: Annotated[
+        str | None,
+        typer.Option("--tls", help="Central: generate makes a certificate that stations pin.", show_default="off"),
+    ] = None,
+    tls_certificate: Annotated[
+        Path | None, typer.Option("--tls-certificate", help="Central: an operator's certificate and chain, PEM.")
+    ] = None,
+    tls_key: Annotated[
+        Path | None, typer.Option("--tls-key", help="Central: the certificate's key, PEM, without a password.")
+    ] = None,
     data_dir: options.DataDir = None,
     dsn: options.Dsn = None,
     station: options.Station = None,
@@ -71,22 +88,25 @@ def serve(
 ) -> None:
     """Run the HTTP interface, row projector and upkeep, rules and sync in one program, until told to stop: then 0."""
     given = {"host": host, "port": port, "rules": rules, "stations_file": stations_file, "central": central}
+    given |= {"tls": tls, "tls_certificate": tls_certificate, "tls_key": tls_key}
     settings = settings_for(data_dir, dsn, station=station, token_file=token_file, plan=plan, **given)
     logs.configure(as_json=as_json)
-    if role is Role.CENTRAL and settings.stations_file is None:
-        raise WrongUsage(
-            "a central server needs to know its stations. Next: vian station add NAME --stations-file FILE, "
-            "then give --stations-file FILE here"
-        )
     grants = StationsFile(settings.stations_file) if role is Role.CENTRAL and settings.stations_file else None
+    certificate = certificate_of(settings)
     listening = bind(settings.host, settings.port)
     with ExitStack() as stack:
         stack.callback(listening.close)
         log = stack.enter_context(opened(settings, data_dir=data_dir, is_made=True))
+        door = _door(log, settings) if role is Role.CENTRAL else None
         precedence = Precedence(settings.rows_wait_s)
-        parts = stack.enter_context(Parts(_parts(stack, log, settings, role, precedence)))
+        parts = stack.enter_context(Parts(_parts(stack, log, settings, role, door, precedence)))
         stopping = _stop_on_signals()
-        address = stack.enter_context(serving(create_app(log, grants, precedence.urgent), listening))
+        app = (
+            create_app(log)
+            if door is None
+            else create_app(log, grants, access=door.access, note=door.refusals.note, while_storing=precedence.urgent)
+        )
+        address = stack.enter_context(serving(app, listening, certificate))
         Output(is_json=as_json).result(
             {"role": role, "address": address, "station": settings.station}, f"vian {role} at {address}"
         )
@@ -94,7 +114,24 @@ def serve(
             pass
 
 
-def _parts(stack: ExitStack, log: Log, settings: Settings, role: Role, precedence: Precedence) -> list[Part]:
+@dataclass(frozen=True, slots=True)
+class _Door:
+    """Who may speak to this central server, and who was turned away."""
+
+    access: Access
+    refusals: Refusals
+
+
+def _door(log: Log, settings: Settings) -> _Door:
+    door = _Door(access_for(log, settings), refusals_for(log, settings))
+    if settings.stations_file is None and not door.access.registry.stations():
+        logger.info("no station is enrolled yet", next="vian station invite NAME")
+    return door
+
+
+def _parts(
+    stack: ExitStack, log: Log, settings: Settings, role: Role, door: _Door | None, precedence: Precedence
+) -> list[Part]:
     projector = Projector(log)
     parts = [
         stepping("projector", precedence.yielding(lambda: projector.step(STEP_SECONDS)), log, projector.close),
@@ -102,6 +139,8 @@ def _parts(stack: ExitStack, log: Log, settings: Settings, role: Role, precedenc
     ]
     if role is Role.STATION:
         parts.append(disk_part(log, settings))
+    if door is not None:
+        parts.append(refusals_part(log, door.refusals))
     if has_key(settings):
         parts.append(signing_part(log, settings))
     if settings.rules is not None or role is Role.STATION:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Self
 
-from events import CheckpointSigned, Segment, StreamName
+from events import CheckpointSigned, Run, Segment, StreamName
 from store import Log, SignedCheckpoint, Statement
 from store.audit import checkpoints_in
 from store.proof import checkpoint_stream
@@ -37,15 +37,27 @@ class Anchors:
     """life of that station's log"""
     _cache: dict[int, SignedCheckpoint] = field(default_factory=dict)
 
-    def around(self, stream: StreamName, epoch: int, segments: Sequence[Segment]) -> Bracket:
-        """The checkpoints around these segments of a stream, first to last."""
+    def around(self, run: Run, segments: Sequence[Segment], *, is_own: bool) -> Bracket:
+        """The checkpoints around these segments of one run of a stream, first to last.
+
+        Args:
+            run: The run that they are of.
+            segments: The segments.
+            is_own: Whether this is the signing station's own log, so that its checkpoints cover positions, too.
+        """
+        stream, epoch = segments[0].stream, segments[0].header.epoch
         first, last = segments[0].header.first_sequence, segments[-1].header.last_sequence
-        number = self.log.stream_head(self._stream, epoch=self.epoch, at_position=segments[0].position).sequence
+        # What fills a gap is recorded later than what is above it.
+        earliest, latest = (choose(each.position for each in segments) for choose in (min, max))
+        number = self.log.stream_head(self._stream, epoch=self.epoch, at_position=earliest).sequence
         start = self.at(number) if number else None
-        while start is not None and head_of(start.statement, stream, epoch) >= first:
+        while start is not None and max(ends_of(start.statement, stream, epoch, run), default=0) >= first:
             start = self.at(start.sequence - 1) if start.sequence > 1 else None
         number = 1 if start is None else start.sequence + 1
-        while (end := self._find(number)) is not None and head_of(end.statement, stream, epoch) < last:
+        while (end := self._find(number)) is not None and (
+            max(ends_of(end.statement, stream, epoch, run), default=0) < last
+            or (is_own and end.statement.position < latest)
+        ):
             number += 1
         return Bracket(start, end)
 
@@ -81,6 +93,10 @@ class Anchors:
                 self._cache |= {found.sequence: found for found in checkpoints_in(each, self.log)}
 
 
-def head_of(statement: Statement, stream: StreamName, epoch: int) -> int:
-    """The sequence that a statement signed for a stream; 0 where it had none yet."""
-    return next((each.sequence for each in statement.heads if (each.stream, each.epoch) == (stream, epoch)), 0)
+def ends_of(statement: Statement, stream: StreamName, epoch: int, run: Run) -> list[int]:
+    """The sequences of a run that a statement signed: where it ended, or runs that have become one with it."""
+    return [
+        each.sequence
+        for each in statement.heads
+        if (each.stream, each.epoch) == (stream, epoch) and run.after < each.sequence <= run.sequence
+    ]

@@ -23,13 +23,14 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from events import EventError, Segment, decode, header_bytes, with_envelope
+from events import EventError, Run, Segment, decode, header_bytes, with_envelope
 from events.segment import microseconds
 from store import Log, SignedCheckpoint, StationKey, key_id
 from store.proof import ALGORITHM, head_rows, heads_hash
+from store.verification import gaps_in
 from vian.errors import WorldFailed, WrongUsage
 from vian.evidence import verifier
-from vian.evidence.anchors import Anchors, Bracket
+from vian.evidence.anchors import Anchors, Bracket, ends_of
 from vian.evidence.selection import Selection, Wanted
 from vian.output import to_json
 from vian.version import VERSION
@@ -124,7 +125,12 @@ class _Export:
         for wanted in self._selection.wanted:
             if on_item is not None:
                 on_item(str(wanted.stream))
-            items.append(self._item(wanted))
+            for run in self._source.log.runs(wanted.stream, wanted.epoch):
+                if (part := wanted.within(run)) is not None:
+                    items.append(self._item(part, run))
+            self._selection.missing += self._gaps(wanted)
+        if not items:
+            raise WorldFailed(f"nothing of what is wanted is in this log: {'; '.join(self._selection.missing)}")
         self._json("checkpoints.json", [self._checkpoint(each) for each in self._chained()])
         shutil.copyfile(verifier.__file__, self._root / "verify.py")
         if self._selection.rule is not None:
@@ -141,15 +147,26 @@ class _Export:
         counts = self._counts
         return digest, len(files), size, counts["events"], counts["segments"], counts["withheld"]
 
-    def _item(self, wanted: Wanted) -> dict[str, Any]:
-        """Write what is wanted of one stream; what the manifest says of it."""
+    def _gaps(self, wanted: Wanted) -> Iterator[str]:
+        """What of the wanted events is in a gap of this log, for people."""
+        runs = self._source.log.runs(wanted.stream, wanted.epoch)
+        for gap in gaps_in({(wanted.stream, wanted.epoch): runs}):
+            for first, last in wanted.ranges:
+                begin, end = max(first, gap.first), min(last, gap.last)
+                if begin <= end:
+                    yield f"{wanted.stream} in epoch {wanted.epoch}, sequences {begin} to {end}"
+
+    def _item(self, wanted: Wanted, run: Run) -> dict[str, Any]:
+        """Write what is wanted of one run of a stream; what the manifest says of it."""
         name = f"{wanted.stream.station}.{wanted.stream.source}.{wanted.stream.type}.{wanted.epoch}"
+        if run.after:
+            name = f"{name}.{run.after + 1}"
         inside = [replace(each, payload=b"") for each in self._inside(wanted)]
         if not inside:
             raise WorldFailed(f"{wanted.stream} lacks sequence {wanted.ranges[0][0]}. Next: vian verify --full")
         bracket = Bracket(None, None)
         if self._anchors is not None:
-            bracket = self._anchors.around(wanted.stream, wanted.epoch, inside)
+            bracket = self._anchors.around(run, inside, is_own=self._source.is_own)
         used = [each for each in (bracket.start, bracket.end) if each is not None]
         self._checkpoints |= {each.sequence: each for each in used}
         return {
@@ -157,7 +174,8 @@ class _Export:
             "epoch": wanted.epoch,
             "why": list(wanted.why),
             "ranges": [list(each) for each in wanted.ranges],
-            "segments": self._segments(wanted, bracket, f"segments/{name}.bin"),
+            "base": {"sequence": run.after, "chain_hash": run.after_hash.hex()} if run.after else None,
+            "segments": self._segments(wanted, run, bracket, f"segments/{name}.bin"),
             "from_checkpoint": bracket.start.sequence if bracket.start else None,
             "to_checkpoint": bracket.end.sequence if bracket.end else None,
             "order": self._order(bracket),
@@ -175,10 +193,11 @@ class _Export:
             if _is_wanted(segment, wanted):
                 yield segment
 
-    def _segments(self, wanted: Wanted, bracket: Bracket, path: str) -> str:
-        """Write the chain from the checkpoint before to the one behind."""
-        first = 1 + _signed(bracket.start, wanted)
-        last = max(_signed(bracket.end, wanted), wanted.ranges[-1][1])
+    def _segments(self, wanted: Wanted, run: Run, bracket: Bracket, path: str) -> str:
+        """Write the chain from the checkpoint before, or the begin of the run, to the checkpoint behind."""
+        last = wanted.ranges[-1][1]
+        first = 1 + max(_signed(bracket.start, wanted, run), default=run.after)
+        last = min((each for each in _signed(bracket.end, wanted, run) if each >= last), default=last)
         with self._open(path) as file:
             file.write(SEGMENTS_MAGIC)
             for segment in self._source.log.read(wanted.stream, first, epoch=wanted.epoch, with_hollow=True):
@@ -300,12 +319,9 @@ def _is_wanted(segment: Segment, wanted: Wanted) -> bool:
     return any(begin <= last and first <= end for begin, end in wanted.ranges)
 
 
-def _signed(checkpoint: SignedCheckpoint | None, wanted: Wanted) -> int:
-    """The sequence up to which a checkpoint signed a stream."""
-    if checkpoint is None:
-        return 0
-    heads = {(each.stream, each.epoch): each.sequence for each in checkpoint.statement.heads}
-    return heads.get((wanted.stream, wanted.epoch), 0)
+def _signed(checkpoint: SignedCheckpoint | None, wanted: Wanted, run: Run) -> list[int]:
+    """The sequences of a run that a checkpoint signed."""
+    return [] if checkpoint is None else ends_of(checkpoint.statement, wanted.stream, wanted.epoch, run)
 
 
 def _segment_bytes(segment: Segment, is_whole: bool) -> bytes:

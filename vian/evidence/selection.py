@@ -15,6 +15,7 @@ from events import (
     EventType,
     ProcessStarted,
     RuleDeployed,
+    Run,
     Segment,
     SituationDetected,
     StreamName,
@@ -38,6 +39,12 @@ class Wanted:
     ranges: tuple[tuple[int, int], ...]
     """first and last sequence of each, inclusive, in order, apart from each other"""
     why: tuple[str, ...]
+
+    def within(self, run: Run) -> "Wanted | None":
+        """What of it is in a run of the stream; None where nothing is."""
+        clipped = ((max(first, run.after + 1), min(last, run.sequence)) for first, last in self.ranges)
+        ranges = tuple((first, last) for first, last in clipped if first <= last)
+        return Wanted(self.stream, self.epoch, ranges, self.why) if ranges else None
 
 
 @dataclass(frozen=True, slots=True)

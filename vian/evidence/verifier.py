@@ -274,13 +274,11 @@ def heads_hash(heads: list[list[Any]]) -> bytes:
     return hashlib.sha256(b"".join(parts)).digest()
 
 
-def head_of(checkpoint: Said, item: Said) -> tuple[int, bytes] | None:
-    """Sequence and chain hash that a checkpoint signed for an item's stream; None where it had none yet."""
+def heads_of(checkpoint: Said | None, item: Said) -> list[tuple[int, bytes]]:
+    """Sequences and chain hashes that a checkpoint signed for an item's stream, in order; one with gaps has several."""
     station, source, kind = item["stream"].split("/")
-    for head in checkpoint["heads"]:
-        if head[:4] == [station, item["epoch"], source, kind]:
-            return head[4], bytes.fromhex(head[5])
-    return None
+    heads = checkpoint["heads"] if checkpoint else []
+    return sorted((h[4], bytes.fromhex(h[5])) for h in heads if h[:4] == [station, item["epoch"], source, kind])
 
 
 # Order of recording.
@@ -313,13 +311,20 @@ def check_item(root: Path, item: Said, checkpoints: dict[int, Said], orders: dic
     """One stream's segments: payloads, headers, chain, anchors, order."""
     path, name = item["segments"], item["stream"]
     start, end = (checkpoints.get(item[key]) for key in ("from_checkpoint", "to_checkpoint"))
-    anchor = (head_of(start, item) if start else None) or (0, ZEROS)
+    base = item.get("base")
+    begin = (base["sequence"], bytes.fromhex(base["chain_hash"])) if base else (0, ZEROS)
+    wanted = (item["ranges"][0][0], item["ranges"][-1][1])
+    data = read(root, path)
+    # The chain begins behind what was signed last before it, or with the run.
+    first = next(segments_in(path, data), None)
+    signed_before = [
+        head for head in heads_of(start, item) if first is not None and begin[0] < head[0] < first["first"]
+    ]
+    anchor = max([begin, *signed_before])
     sequence, chain_hash = anchor
-    signed_head = head_of(end, item) if end else None
-    number = end["sequence"] if end else None
     passed = {anchor[0]: anchor[1]}
     whole: list[tuple[int, int]] = []
-    for segment in segments_in(path, read(root, path)):
+    for segment in segments_in(path, data):
         place = f"segment from sequence {segment['first']} (byte {segment['at']})"
         if segment["stream"] != name or segment["epoch"] != item["epoch"]:
             raise Bad(path, f"{place} is of stream {segment['stream']}, epoch {segment['epoch']}")
@@ -344,13 +349,20 @@ def check_item(root: Path, item: Said, checkpoints: dict[int, Said], orders: dic
     for first, last in item["ranges"]:
         if not covers(whole, first, last):
             raise Bad(path, f"events {first} to {last} are not all there")
-    if signed_head is None:
+    signed_heads = heads_of(end, item)
+    if end is None or not signed_heads:
         report.unsigned.append(f"{name}: no checkpoint followed")
         report.ok(f"{path}: chain of {name} holds to sequence {sequence}; not signed")
         return
-    if passed.get(signed_head[0]) != signed_head[1]:
-        raise Bad(path, f"the chain does not reach what checkpoint {number} signed at {signed_head[0]}")
-    report.ok(f"{path}: chain of {name} holds to sequence {sequence}, as checkpoint {number} signed it")
+    number = end["sequence"]
+    reached = [head for head in signed_heads if anchor[0] < head[0] <= sequence]
+    if not reached or reached[-1][0] < wanted[1]:
+        raise Bad(path, f"the chain does not reach what checkpoint {number} signed at {signed_heads[-1][0]}")
+    for at, signed_hash in reached:
+        if passed.get(at) != signed_hash:
+            raise Bad(path, f"the chain does not reach what checkpoint {number} signed at {at}")
+    behind = f"begins behind sequence {base['sequence']}, and " if base else ""
+    report.ok(f"{path}: chain of {name} {behind}holds to sequence {sequence}, as checkpoint {number} signed it")
 
 
 def covers(whole: list[tuple[int, int]], first: int, last: int) -> bool:

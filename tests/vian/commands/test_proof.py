@@ -8,6 +8,8 @@ import psycopg
 import pytest
 
 from store import Log
+from tests.conftest import MakeLog
+from tests.store.replicas import deliver
 from tests.store.tiered import seal_all
 from tests.vian.conftest import Ran, Run
 from tests.vian.samples import GATE, YARD, append, objects, points
@@ -161,7 +163,8 @@ def test_verify_reads_what_came_since_and_all_of_it_when_told(filled: Log, at: t
     assert one(run("verify", *at, "--json"))["segments_read"] == 3
     append(filled, points(1), YARD)
     assert one(run("verify", *at, "--json")) == {
-        "sound": True, "segments": 4, "events": 41, "streams": 2, "position": 4, "segments_read": 1, "signed": []
+        "sound": True, "segments": 4, "events": 41, "streams": 2, "position": 4, "segments_read": 1,
+        "segments_without_payload": 0, "gaps": [], "signed": [],
     }  # fmt: skip
     assert run("verify", *at).out.endswith(
         "; up to position 4 it was found sound before and not read again (--full does)\n"
@@ -221,3 +224,18 @@ def test_damage_to_the_newest_checkpoint_is_found_and_named(
 
 def test_an_empty_log_is_sound(log: Log, run: Run) -> None:
     assert run("verify", "--dsn", log.dsn).out.startswith("sound: 0 events")
+
+
+def test_what_is_not_here_is_told_and_is_no_break(filled: Log, make_log: MakeLog, run: Run) -> None:
+    replica = make_log()
+    sent = list(filled.read(GATE))
+    deliver(replica, sent, 1)
+    first, last = sent[1].header.first_sequence, sent[1].header.last_sequence
+    ran = run("verify", "--dsn", replica.dsn)
+    assert ran.code == 0
+    assert f"not here: {GATE}, epoch 1, sequences 1 to {first - 1}: the station began behind them" in ran.out
+    (said,) = objects(run("verify", "--dsn", replica.dsn, "--full", "--json").out)
+    gap = {"stream": str(GATE), "epoch": 1, "first_sequence": 1, "last_sequence": first - 1}
+    assert (said["sound"], said["events"], said["gaps"]) == (True, last - first + 1, [gap])
+    (stream,) = objects(run("streams", "--dsn", replica.dsn, "--json").out)
+    assert (stream["sequence"], stream["not_here"]) == (last, f"1 to {first - 1}")

@@ -65,6 +65,21 @@ def test_sync_follows_its_plan(station: Log, central: Log, address: str, run: Ru
     assert list(heads(central)) == ["brno/yard/track_point"]
 
 
+def test_sync_sends_what_a_filter_leaves_and_goes_on_with_the_plan_that_was_set(
+    station: Log, central: Log, address: str, run: Run
+) -> None:
+    Path("plan.yaml").write_text("entries: [{stream: '*/gate/track_point', where: 'frame >= 15'}]\n")
+    options = ("--dsn", station.dsn, "--station", "brno")
+    to = ("--central", address, "--token-file", TOKEN, "--once")
+    assert run("sync", "plan", "set", "plan.yaml", *options).code == 0
+    assert run("sync", *options, *to).code == 0
+    ((name, (sequence, _)),) = heads(central).items()
+    assert (name.startswith("brno/gate~"), sequence) == (True, 5)
+    append(station, points(4, first_frame=20))
+    assert run("sync", *options, *to).code == 0
+    assert heads(central)[name][0] == 9
+
+
 @pytest.mark.parametrize(
     "token, said",
     [
@@ -123,7 +138,10 @@ def test_what_is_missing_or_wrong_is_told_before_anything_is_sent(
 @pytest.mark.parametrize(
     "options, code, said",
     [
-        (["--role", "central"], 2, "a central server needs to know its stations. Next: vian station add NAME"),
+        (["--role", "central", "--tls-certificate", "gone.pem"], 2, "the certificate gone.pem with the key gone.pem"),
+        (["--role", "central", "--tls-key", "gone.pem"], 2, "a key without its certificate. Next: give --tls-cert"),
+        (["--role", "central", "--tls", "generate", "--tls-certificate", "x"], 2, "two certificates: give either"),
+        (["--role", "central", "--tls", "yes"], 2, "setting tls: Input should be 'off' or 'generate', got 'yes'"),
         (["--role", "central", "--stations-file", "gone.toml"], 2, "the stations file gone.toml cannot be read"),
         (["--role", "station", "--central", "http://x"], 2, "sync needs this station's token. Next: give --token-file"),
         (["--role", "station", "--rules", "gone"], 2, "there is no gone to read rules from. Next: mkdir gone"),

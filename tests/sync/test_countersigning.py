@@ -1,0 +1,171 @@
+"""Central countersigns what it holds; the station believes its signature only, and asks for nothing new twice."""
+
+from typing import Any
+
+import pytest
+
+from events import CheckpointCountersigned, CheckpointSigned, StreamName, batch_of, decode, encode, events_of
+from store import Log, Signer
+from sync import BadAnswer, Daemon, Plan, Refusal
+from sync.countersigning import countersign, heads_in, is_countersigned
+from sync.wire import CountersignRequest
+from tests.sync.conftest import (
+    BRNO,
+    CENTRAL_KEY,
+    NOON,
+    MakeDaemon,
+    append_points,
+    key_of,
+    stream_of,
+)
+
+GIVEN = StreamName.of("brno-2", "sync", "checkpoint_countersigned")
+ASKED = CountersignRequest(epoch=1, checkpoint_sequence=1).encoded()
+
+
+def sign(log: Log) -> None:
+    Signer(log, BRNO, lambda: key_of("brno-2"), lambda: NOON).sign()
+
+
+def given(log: Log) -> list[CheckpointCountersigned]:
+    return [event for s in log.read(GIVEN) for event in events_of(decode(s, log.catalogue))]  # type: ignore[misc]
+
+
+def did(daemon: Daemon) -> list[str]:
+    steps = []
+    while not steps or steps[-1] != "nothing":
+        step = daemon.step()
+        assert step.error is None
+        steps.append(step.did)
+    return steps
+
+
+@pytest.fixture
+def make(make_daemon: MakeDaemon) -> MakeDaemon:
+    def make_one(**more: Any) -> Daemon:
+        return make_daemon(**({"central_key": CENTRAL_KEY.public} | more))
+
+    return make_one
+
+
+def test_a_checkpoint_that_central_holds_is_countersigned_once(station_log: Log, make: MakeDaemon) -> None:
+    append_points(station_log, stream_of(), [3, 2])
+    sign(station_log)
+    daemon = make()
+
+    assert did(daemon).count("countersigned") == 1
+    (event,) = given(station_log)
+    assert is_countersigned(event, CENTRAL_KEY.public)
+    assert (event.of_station, event.checkpoint_sequence) == ("brno-2", 1)
+    assert {str(head.stream): head.sequence for head in heads_in(event.held)} == {"brno-2/gate/track_point": 5}
+    assert daemon.status().countersigned == 1
+
+
+def test_signing_alone_leads_to_no_more_signatures(station_log: Log, make: MakeDaemon) -> None:
+    append_points(station_log, stream_of(), [3])
+    daemon = make()
+    for _ in range(4):
+        sign(station_log)
+        did(daemon)
+        did(make())  # nor does a restart
+
+    signed = [
+        event for s in station_log.read(StreamName.of("brno-2", "log", CheckpointSigned.type_name)) for event in [s]
+    ]
+    assert len(signed) < 4
+    assert len(given(station_log)) <= 2  # the plan came behind the first checkpoint
+
+
+def test_what_is_not_sent_is_not_countersigned_and_what_is_not_asked_again(station_log: Log, make: MakeDaemon) -> None:
+    append_points(station_log, stream_of(), [3])
+    append_points(station_log, stream_of("yard"), [3])
+    sign(station_log)
+    daemon = make(plan=Plan.of({"entries": [{"stream": "*/yard/*", "send": False}, {"stream": "*/*/*"}]}))
+
+    assert did(daemon).count("countersigned") == 1
+    (event,) = given(station_log)
+    assert [head.stream.source for head in heads_in(event.held)] == ["gate"]
+    sign(station_log)
+    did(daemon)
+    assert did(daemon) == ["nothing"]
+
+
+def test_what_is_held_from_a_time_on_only_is_not_countersigned(
+    station_log: Log, central_log: Log, make: MakeDaemon
+) -> None:
+    append_points(station_log, stream_of(), [3, 3])
+    sign(station_log)
+    entries = [{"stream": "*/gate/*", "from": "2026-05-01T12:00:00.004Z"}, {"stream": "*/log/*"}]
+    daemon = make(plan=Plan.of({"entries": entries}), now=lambda: NOON.replace(hour=13))
+    daemon.catch_up()
+
+    assert [(run.after, run.sequence) for run in central_log.runs(stream_of(), 1)] == [(3, 6)]
+    assert given(station_log) == []
+
+
+@pytest.mark.parametrize("change", ["station", "held", "statement_hash", "signature"])
+def test_a_signature_is_over_all_that_the_event_says(change: str, station_log: Log, make: MakeDaemon) -> None:
+    append_points(station_log, stream_of(), [3])
+    sign(station_log)
+    make().catch_up()
+    (event,) = given(station_log)
+    changed = {
+        "station": {"of_station": "oslo-1"},
+        "held": {"held": event.held.replace(",3,", ",4,")},
+        "statement_hash": {"statement_hash": "0" * 64},
+        "signature": {"signature": bytes(64)},
+    }[change]
+
+    assert is_countersigned(event, CENTRAL_KEY.public)
+    assert not is_countersigned(event.model_copy(update=changed), CENTRAL_KEY.public)
+    assert not is_countersigned(event, key_of("oslo-1").public)
+    assert not is_countersigned(event.model_copy(update={"held": "[1]"}), CENTRAL_KEY.public)
+
+
+def test_another_key_is_not_believed(station_log: Log, make: MakeDaemon) -> None:
+    append_points(station_log, stream_of(), [3])
+    sign(station_log)
+
+    with pytest.raises(BadAnswer, match=r"is not that of its key .* Next: .* vian station enrol"):
+        make(central_key=key_of("oslo-1").public).catch_up()
+    assert given(station_log) == []
+
+
+def test_without_central_key_nothing_is_asked(station_log: Log, make_daemon: MakeDaemon) -> None:
+    append_points(station_log, stream_of(), [3])
+    sign(station_log)
+
+    assert "countersigned" not in did(make_daemon())
+
+
+def test_what_central_does_not_hold_it_does_not_sign(station_log: Log, central_log: Log, make: MakeDaemon) -> None:
+    with pytest.raises(Refusal) as raised:
+        countersign(central_log, BRNO, ASKED, CENTRAL_KEY, NOON)
+    assert (raised.value.code, raised.value.status) == ("not_held", 409)
+    with pytest.raises(Refusal) as raised:
+        countersign(central_log, BRNO, b"{}", CENTRAL_KEY, NOON)
+    assert raised.value.code == "bad_request"
+
+    append_points(station_log, stream_of(), [3, 3])
+    sign(station_log)
+    append_points(station_log, stream_of(), [2])
+    make(central_key=None).catch_up()
+    signed = countersign(central_log, BRNO, ASKED, CENTRAL_KEY, NOON)
+    assert [(head.stream.source, head.sequence) for head in heads_in(signed.held)] == [("gate", 6)]
+
+
+def test_a_checkpoint_that_its_station_did_not_sign_is_refused(
+    station_log: Log, central_log: Log, make: MakeDaemon
+) -> None:
+    append_points(station_log, stream_of(), [3])
+    sign(station_log)
+    (segment,) = station_log.read(StreamName.of("brno-2", "log", CheckpointSigned.type_name))
+    (event,) = events_of(decode(segment, station_log.catalogue))
+
+    forged = event.model_copy(update={"signature": bytes(64)})
+    draft = encode(segment.stream, batch_of([forged]), segment.header.producer)
+    central_log.append([draft])
+
+    with pytest.raises(Refusal) as raised:
+        countersign(central_log, BRNO, ASKED, CENTRAL_KEY, NOON)
+    assert raised.value.code == "bad_checkpoint"

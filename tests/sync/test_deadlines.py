@@ -1,0 +1,149 @@
+"""A peer that hangs, or gives a byte now and then, ends by the deadline; turns are kept at central."""
+
+import socket
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from time import monotonic
+
+import httpx
+import pytest
+
+from events import station_name
+from sync import CentralUnreachable
+from sync.client import Central
+from sync.deadlines import bounded
+from sync.turns import Turns
+from sync.wire import ChallengeRequest
+
+BRNO = station_name("brno-2")
+PATIENCE_S = 30.0
+
+
+class Peer:
+    """Listens, reads what comes, and says pieces of an answer as it is told."""
+
+    def __init__(self, say: Callable[[socket.socket, threading.Event], None]) -> None:
+        self._listening = socket.create_server(("127.0.0.1", 0))
+        self.address = f"http://127.0.0.1:{self._listening.getsockname()[1]}"
+        self.has_heard = threading.Event()
+        self._over = threading.Event()
+        self._say = say
+        self._thread = threading.Thread(target=self._serve)
+        self._thread.start()
+
+    def _serve(self) -> None:
+        with suppress(OSError):
+            connection, _ = self._listening.accept()
+            with connection:
+                connection.recv(65536)
+                self.has_heard.set()
+                self._say(connection, self._over)
+
+    def close(self) -> None:
+        self._over.set()
+        self._listening.shutdown(socket.SHUT_RDWR)
+        self._listening.close()
+        self._thread.join(PATIENCE_S)
+
+
+def hang(_: socket.socket, over: threading.Event) -> None:
+    over.wait(PATIENCE_S)
+
+
+def trickle(connection: socket.socket, over: threading.Event) -> None:
+    connection.sendall(b"HTTP/1.1 200 OK\r\ncontent-length: 1000000\r\n\r\n")
+    while not over.wait(0.01):
+        connection.sendall(b" ")
+
+
+@pytest.fixture(params=[hang, trickle])
+def peer(request: pytest.FixtureRequest) -> Iterator[Peer]:
+    listening = Peer(request.param)
+    yield listening
+    listening.close()
+
+
+def test_a_request_ends_by_its_deadline_however_its_bytes_come(peer: Peer) -> None:
+    with httpx.Client(base_url=peer.address, timeout=PATIENCE_S) as client:
+        bounded(client)
+        central = Central(client, None, deadline_s=0.2)
+        with pytest.raises(CentralUnreachable, match="gave no answer in time"):
+            central._challenge(BRNO)
+
+
+def test_a_request_in_another_thread_can_be_ended(peer: Peer) -> None:
+    failures: list[Exception] = []
+
+    def ask(central: Central) -> None:
+        try:
+            central._challenge(BRNO)
+        except CentralUnreachable as error:
+            failures.append(error)
+
+    with httpx.Client(base_url=peer.address, timeout=PATIENCE_S) as client:
+        bounds = bounded(client)
+        thread = threading.Thread(target=ask, args=(Central(client, None),))
+        begun = monotonic()
+        thread.start()
+        assert peer.has_heard.wait(PATIENCE_S)
+        bounds.abort()
+        thread.join(PATIENCE_S)
+
+    assert len(failures) == 1
+    assert monotonic() - begun < PATIENCE_S
+
+
+def test_a_body_that_nobody_takes_ends_by_the_deadline() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        address = f"http://127.0.0.1:{listening.getsockname()[1]}"
+        with httpx.Client(base_url=address, timeout=PATIENCE_S) as client:
+            bounded(client)
+            central = Central(client, None, deadline_s=0.2 - 20_000_000 / 1000)
+            with pytest.raises(CentralUnreachable, match="gave no answer in time"):
+                central._exchange.post("segments", bytes(20_000_000), {}, 1000)
+
+
+def test_a_request_waits_for_the_one_that_it_follows_and_not_for_ever() -> None:
+    turns, order = Turns(wait_s=PATIENCE_S), list[str]()
+    begun = threading.Event()
+
+    def second() -> None:
+        begun.set()
+        turns.wait_for(BRNO, "a-1")
+        order.append("second")
+
+    thread = threading.Thread(target=second)
+    with turns.named(BRNO, "a-1"):
+        thread.start()
+        assert begun.wait(PATIENCE_S)
+        order.append("first")
+    thread.join(PATIENCE_S)
+
+    assert order == ["first", "second"]
+    Turns(wait_s=0.001).wait_for(BRNO, "never-sent")
+    turns.wait_for(BRNO, "")
+    turns.wait_for(BRNO, "a-1")  # long through
+
+
+def test_a_request_that_fails_is_through_as_well() -> None:
+    turns = Turns(wait_s=PATIENCE_S)
+    with suppress(ValueError), turns.named(BRNO, "a-1"):
+        raise ValueError
+
+    turns.wait_for(BRNO, "a-1")
+
+
+def test_few_names_of_few_stations_are_remembered(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sync.turns._STATIONS_MAX", 2)
+    turns = Turns(wait_s=0.001)
+    for station in ("a", "b", "c"):
+        for number in range(100):
+            with turns.named(station_name(station), str(number)):
+                pass
+
+    assert {name: len(names) for name, names in turns._through.items()} == {"b": 16, "c": 16}
+
+
+def test_what_asks_for_a_challenge_is_small() -> None:
+    assert len(ChallengeRequest(station=BRNO).encoded()) < 100
