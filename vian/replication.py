@@ -21,6 +21,7 @@ from sync.deriving import Deriver, DerivingChore
 from sync.plan import Plan
 from sync.planning import planned_in
 from sync.reports import Pace, Step
+from sync.rotation import take_turns
 from vian.clock import utc_now
 from vian.errors import WrongUsage
 from vian.membership import Membership, check_address, load_membership, station_key
@@ -158,6 +159,8 @@ def station_daemon(
     with httpx.Client(
         base_url=peer.address, timeout=REQUEST_SECONDS_MAX, verify=context, transport=transport
     ) as client:
+        if transport is None:
+            take_turns(client)
         bounds = bounded(client)
         deriver = Deriver(log, station_name(station))
         try:
