@@ -15,10 +15,13 @@ from typing import Annotated
 
 import structlog
 import typer
+from fastapi import FastAPI
 
 from patterns.engine.compiling import compiling_beside
 from store import Log, Projector
 from sync.access import Access
+from sync.central import Storing
+from sync.grants import Grantor
 from sync.refusals import Refusals
 from vian import logs, options
 from vian.admission import access_for, certificate_of, refusals_for, refusals_part
@@ -29,6 +32,7 @@ from vian.output import Output
 from vian.parts import Part, Parts, stepping
 from vian.precedence import Precedence
 from vian.pruning import disk_part
+from vian.questions import answering_for
 from vian.replication import plan_at_start, station_daemon, sync_part
 from vian.rows import upkeep_part
 from vian.rules import limits_of
@@ -101,11 +105,7 @@ def serve(
         precedence = Precedence(settings.rows_wait_s)
         parts = stack.enter_context(Parts(_parts(stack, log, settings, role, door, precedence)))
         stopping = _stop_on_signals()
-        app = (
-            create_app(log)
-            if door is None
-            else create_app(log, grants, access=door.access, note=door.refusals.note, while_storing=precedence.urgent)
-        )
+        app = create_app(log) if door is None else _central_app(log, settings, door, grants, precedence.urgent)
         address = stack.enter_context(serving(app, listening, certificate))
         Output(is_json=as_json).result(
             {"role": role, "address": address, "station": settings.station}, f"vian {role} at {address}"
@@ -120,6 +120,17 @@ class _Door:
 
     access: Access
     refusals: Refusals
+
+
+def _central_app(log: Log, settings: Settings, door: _Door, grants: Grantor | None, while_storing: Storing) -> FastAPI:
+    return create_app(
+        log,
+        grants,
+        access=door.access,
+        answers=answering_for(log, settings, door.access),
+        note=door.refusals.note,
+        while_storing=while_storing,
+    )
 
 
 def _door(log: Log, settings: Settings) -> _Door:
