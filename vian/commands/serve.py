@@ -15,27 +15,29 @@ from typing import Annotated
 
 import structlog
 import typer
+from fastapi import FastAPI
 
 from patterns.engine.compiling import compiling_beside
 from store import Log, Projector
 from sync.access import Access
+from sync.grants import Grantor
 from sync.refusals import Refusals
 from vian import logs, options
 from vian.admission import access_for, certificate_of, refusals_for, refusals_part
 from vian.api import bind, create_app, serving
-from vian.errors import WrongUsage
 from vian.options import opened, settings_for
 from vian.output import Output
 from vian.parts import Part, Parts, stepping
 from vian.precedence import Precedence
 from vian.pruning import disk_part
-from vian.replication import plan_at_start, station_daemon, sync_part
+from vian.questions import answering_for
+from vian.replication import peer_of, plan_at_start, station_daemon, sync_part
 from vian.rows import upkeep_part
 from vian.rules import limits_of
 from vian.settings import Settings
 from vian.signatures import has_key, signing_part
 from vian.staging import stages_beside_that_run, stages_part
-from vian.stations import StationsFile, read_token
+from vian.stations import StationsFile
 from vian.watching import check_there, processor_part
 
 logger = structlog.get_logger()
@@ -101,11 +103,7 @@ def serve(
         precedence = Precedence(settings.rows_wait_s)
         parts = stack.enter_context(Parts(_parts(stack, log, settings, role, door, precedence)))
         stopping = _stop_on_signals()
-        app = (
-            create_app(log)
-            if door is None
-            else create_app(log, grants, access=door.access, note=door.refusals.note, while_storing=precedence.urgent)
-        )
+        app = create_app(log) if door is None else _central_app(log, settings, grants, door, precedence)
         address = stack.enter_context(serving(app, listening, certificate))
         Output(is_json=as_json).result(
             {"role": role, "address": address, "station": settings.station}, f"vian {role} at {address}"
@@ -127,6 +125,17 @@ def _door(log: Log, settings: Settings) -> _Door:
     if settings.stations_file is None and not door.access.registry.stations():
         logger.info("no station is enrolled yet", next="vian station invite NAME")
     return door
+
+
+def _central_app(log: Log, settings: Settings, grants: Grantor | None, door: _Door, precedence: Precedence) -> FastAPI:
+    return create_app(
+        log,
+        grants,
+        access=door.access,
+        answers=answering_for(log, settings, door.access),
+        note=door.refusals.note,
+        while_storing=precedence.urgent,
+    )
 
 
 def _parts(
@@ -151,12 +160,10 @@ def _parts(
         if stages:
             parts.append(stages_part(log, settings.station, stages))
         parts.append(processor_part(log, settings.station, settings.rules, limits, settings.rules_look_s))
-    if role is Role.STATION and settings.central is not None:
-        if settings.token_file is None:
-            raise WrongUsage("sync needs this station's token. Next: give --token-file FILE")
-        token = read_token(settings.token_file)
+    peer = peer_of(settings) if role is Role.STATION else None
+    if peer is not None:
         plan = plan_at_start(log, settings.station, settings.plan)
-        daemon = stack.enter_context(station_daemon(log, settings.station, settings.central, token, plan))
+        daemon = stack.enter_context(station_daemon(log, settings.station, peer, plan))
         parts.append(sync_part(daemon))
     return parts
 
