@@ -8,7 +8,7 @@ import typer
 
 from sync.daemon import Daemon
 from vian import options
-from vian.commands import sync_plan
+from vian.commands import sync_plan, sync_repair
 from vian.errors import WrongUsage
 from vian.options import opened, settings_for
 from vian.output import Output
@@ -19,6 +19,7 @@ from vian.stations import read_token
 
 app = typer.Typer(help="Replicate this station's chosen streams to central, and choose them.")
 app.add_typer(sync_plan.app, name="plan")
+app.command(epilog="Example: vian sync repair")(sync_repair.repair)
 
 
 @app.callback(
