@@ -15,10 +15,12 @@ from typing import Annotated
 
 import structlog
 import typer
+from fastapi import FastAPI
 
 from patterns.engine.compiling import compiling_beside
 from store import Log, Projector
 from sync.access import Access
+from sync.grants import Grantor
 from sync.refusals import Refusals
 from vian import logs, options
 from vian.admission import access_for, certificate_of, refusals_for, refusals_part
@@ -28,6 +30,7 @@ from vian.output import Output
 from vian.parts import Part, Parts, stepping
 from vian.precedence import Precedence
 from vian.pruning import disk_part
+from vian.questions import answering_for
 from vian.replication import peer_of, plan_at_start, station_daemon, sync_part
 from vian.rows import upkeep_part
 from vian.rules import limits_of
@@ -100,11 +103,7 @@ def serve(
         precedence = Precedence(settings.rows_wait_s)
         parts = stack.enter_context(Parts(_parts(stack, log, settings, role, door, precedence)))
         stopping = _stop_on_signals()
-        app = (
-            create_app(log)
-            if door is None
-            else create_app(log, grants, access=door.access, note=door.refusals.note, while_storing=precedence.urgent)
-        )
+        app = create_app(log) if door is None else _central_app(log, settings, grants, door, precedence)
         address = stack.enter_context(serving(app, listening, certificate))
         Output(is_json=as_json).result(
             {"role": role, "address": address, "station": settings.station}, f"vian {role} at {address}"
@@ -126,6 +125,17 @@ def _door(log: Log, settings: Settings) -> _Door:
     if settings.stations_file is None and not door.access.registry.stations():
         logger.info("no station is enrolled yet", next="vian station invite NAME")
     return door
+
+
+def _central_app(log: Log, settings: Settings, grants: Grantor | None, door: _Door, precedence: Precedence) -> FastAPI:
+    return create_app(
+        log,
+        grants,
+        access=door.access,
+        answers=answering_for(log, settings, door.access),
+        note=door.refusals.note,
+        while_storing=precedence.urgent,
+    )
 
 
 def _parts(
