@@ -61,3 +61,16 @@ def row_batch(batch: EventBatch, camera: int, first_sequence: int) -> pa.RecordB
     ]
     names = ["source", "sequence", *batch.data.schema.names]
     return pa.RecordBatch.from_arrays([*front, *batch.data.columns], names=names)
+
+
+def whole_row_batch(batch: EventBatch, camera: int, first_sequence: int) -> pa.RecordBatch:
+    """The batch as rows that say what a segment says of its events: station, epoch and when recorded, too."""
+    rows = row_batch(batch, camera, first_sequence)
+    count = len(batch)
+    front = [
+        pa.repeat(pa.scalar(stream(camera).station, pa.string()), count),
+        pa.repeat(pa.scalar(1, pa.int32()), count),
+        pa.repeat(pa.scalar(START, pa.timestamp("us", "UTC")), count),
+    ]
+    names = ["station", "epoch", "recorded_at", *rows.schema.names]
+    return pa.RecordBatch.from_arrays([*front, *rows.columns], names=names)

@@ -16,6 +16,7 @@ from events import EventBatch
 
 _TYPES: dict[pa.DataType, str] = {
     pa.string(): "text",
+    pa.int32(): "integer",
     pa.int64(): "bigint",
     pa.float32(): "real",
     pa.timestamp("us", tz="UTC"): "timestamptz",
@@ -25,10 +26,10 @@ _TYPES: dict[pa.DataType, str] = {
 class TypedTable:
     """A table with a column for each field and no index, filled by binary COPY."""
 
-    def __init__(self, dsn: str, name: str = "reference_typed") -> None:
+    def __init__(self, dsn: str, name: str = "reference_typed", schema: pa.Schema | None = None) -> None:
         self.connection = psycopg.connect(dsn, autocommit=True)
         self.name = name
-        schema = row_batch(points(1, 0), 0, 1).schema
+        schema = schema or row_batch(points(1, 0), 0, 1).schema
         columns = ", ".join(f"{field.name} {_TYPES[field.type]} not null" for field in schema)
         self.connection.execute(f"drop table if exists {name}")
         self.connection.execute(f"create table {name} ({columns})")

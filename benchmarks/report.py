@@ -34,6 +34,8 @@ def page() -> str:
         sections += of_rules(_loaded("patterns"))
     if all((RESULTS / f"{name}.json").exists() for name in ("patterns_log", "flink")):
         sections += over_the_log(_loaded("patterns_log"), _loaded("flink"))
+    if (RESULTS / "sync.json").exists():
+        sections += of_sync(_loaded("sync"))
     return "\n".join([_HEAD, *sections])
 
 
@@ -184,6 +186,31 @@ def _live(said: dict[str, Any]) -> Iterator[tuple[str, float, str, dict[str, Any
     what = f"memory after {hour['seconds'] / 60:.0f} minutes of event time, of that after a quarter of them"
     yield what, hour["quarters_mb"][-1] / hour["quarters_mb"][0], " times", _wanted(1.1, at_least=False)
     yield "one rule among 100 replaced, through the log", said["reload_ms"], " ms", _wanted(50, at_least=False)
+
+
+def of_sync(said: dict[str, Any]) -> Iterator[str]:
+    """The section on a station's log that comes to be central's."""
+    yield (
+        f"## From a station to central\n\n`python -m benchmarks.sync`, {_when(said)}; both programs and both logs on "
+        "this machine, TLS on, each program in a network namespace of its own. Logical replication is PostgreSQL's, "
+        "binary, of the same events as typed rows; its subscriber waits for the disk at each commit, as central does, "
+        "unless it says otherwise. The slow link is a TUN device on each side, whose packets wait as on a line of "
+        "that rate and delay.\n"
+    )
+    yield "| what | ours | reference | ratio | target |\n|---|---:|---:|---:|---|"
+    for row in said["rows"]:
+        if "reference" in row:
+            ours, theirs = (f"{row[side]:,.{_digits(row[side])}f}" for side in ("ours", "reference"))
+            yield (
+                f"| {row['what']} | {ours} {row['unit']} | {theirs} ({row['reference_name']}) "
+                f"| {row['ratio']:.2f} | {_target(row)} |"
+            )
+    yield "\n| what | reached | target |\n|---|---:|---|"
+    for row in said["rows"]:
+        if "reached" in row:
+            reached = f"{row['reached']:,.{_digits(row['reached'])}f} {row['unit']}".rstrip()
+            yield f"| {row['what']} | {reached} | {_target({'ratio': row['reached'], **row})} |"
+    yield ""
 
 
 def _wanted(target: float | None, *, at_least: bool = True) -> dict[str, Any]:

@@ -15,13 +15,14 @@ from itertools import groupby
 from pathlib import Path
 
 import psycopg
+import pyarrow as pa
 
 from benchmarks.link import Link, Traffic, fast_link
 from benchmarks.measuring import Figure, Row
-from benchmarks.points import CAMERAS, PRODUCER, points, row_batch
+from benchmarks.points import CAMERAS, PRODUCER, points, row_batch, whole_row_batch
 from benchmarks.sync_reference import LogicalReplication, Replicated, logical_replication
 from benchmarks.sync_servers import STATION, Cost, Program, central_server, enrol, station_daemon
-from events import Draft, Segment, StreamName, encode
+from events import Draft, EventBatch, Segment, StreamName, encode
 from store import Log, open_log
 
 SEGMENT_EVENTS = 1000
@@ -52,14 +53,21 @@ class Round:
     single_s: float
 
 
+Rows = Callable[[EventBatch, int, int], pa.RecordBatch]
+"""Makes the rows that replicate, of a segment's events."""
+
+
 class Bench:
     """Everything of one link: logs, both programs, and the reference."""
 
-    def __init__(self, stack: ExitStack, link: Link, folder: Path) -> None:
+    def __init__(self, stack: ExitStack, link: Link, folder: Path, rows: Rows = row_batch) -> None:
         self._link = link
+        self._rows = rows
         names = ("station", "central", "grouped", "single")
         self._station, self._central, *self._local = (stack.enter_context(tuned_log(folder / name)) for name in names)
-        self._replication: LogicalReplication = stack.enter_context(logical_replication(link, folder))
+        self._replication: LogicalReplication = stack.enter_context(
+            logical_replication(link, folder, rows(points(1, 0), 0, 1).schema)
+        )
         enrol(folder)
         self._server: Program = stack.enter_context(central_server(link, folder))
         self._daemon: Program = stack.enter_context(station_daemon(link, folder))
@@ -95,7 +103,7 @@ class Bench:
         return time.perf_counter() - began
 
     def _replicated(self, segments: int, *, is_each_synchronous: bool) -> Replicated:
-        rows = [row_batch(points(SEGMENT_EVENTS, seed % CAMERAS), seed, 1) for seed in range(segments)]
+        rows = [self._rows(points(SEGMENT_EVENTS, seed % CAMERAS), seed, 1) for seed in range(segments)]
         self._replication.fill(rows, is_each_synchronous=is_each_synchronous)
         return self._replication.drain()
 
@@ -124,13 +132,22 @@ def drained(folder: Path, rounds: int, segments: int) -> Iterator[Row | Figure]:
 
 
 def crossed(folder: Path, rounds: int, segments: int) -> Iterator[Row | Figure]:
-    """Bytes on the wire an event: each packet counted with its headers."""
+    """Bytes on the wire an event, each packet with its headers; beside rows of all that a segment says, and slim ones.
+
+    A slim row has only source and sequence beside the fields: at central it could not be told whose it is.
+    """
+    yield _crossed(folder / "whole", rounds, segments, whole_row_batch, _REPLICATION, 1 / 6)
+    yield _crossed(folder / "slim", rounds, segments, row_batch, f"{_REPLICATION}, rows without station", None)
+
+
+def _crossed(folder: Path, rounds: int, segments: int, rows: Rows, name: str, target: float | None) -> Row:
+    folder.mkdir(mode=0o755)
     with ExitStack() as stack:
         link = stack.enter_context(fast_link())
-        bench = Bench(stack, link, folder)
+        bench = Bench(stack, link, folder, rows)
         found = [bench.round(number, segments) for number in range(rounds + 1)][1:]
     pairs = [(each.traffic.both / each.events, each.replication.traffic.both / each.events) for each in found]
-    yield _row("bytes on the wire an event, 1,000 a segment", "bytes", pairs, _REPLICATION, 1 / 6, at_least=False)
+    return _row("bytes on the wire an event, 1,000 a segment", "bytes", pairs, name, target, at_least=False)
 
 
 def _row(

@@ -52,11 +52,11 @@ class Replicated:
 class LogicalReplication:
     """A publisher at the station's end of the link and a subscriber at central's."""
 
-    def __init__(self, link: Link, publisher: Path, subscriber: Path) -> None:
+    def __init__(self, link: Link, publisher: Path, subscriber: Path, schema: pa.Schema) -> None:
         self._link = link
         self._folders = publisher, subscriber
-        self._source = TypedTable(_dsn(publisher), _TABLE)
-        self._target = TypedTable(_dsn(subscriber), _TABLE)
+        self._source = TypedTable(_dsn(publisher), _TABLE, schema)
+        self._target = TypedTable(_dsn(subscriber), _TABLE, schema)
         self._end = ""
         self._do(self._source, f"create publication every_row for table {_TABLE}")
         self._do(self._source, "select pg_create_logical_replication_slot('replica', 'pgoutput')")
@@ -121,13 +121,13 @@ class LogicalReplication:
 
 
 @contextmanager
-def logical_replication(link: Link, folder: Path) -> Iterator[LogicalReplication]:
-    """Two servers in new folders, joined."""
+def logical_replication(link: Link, folder: Path, schema: pa.Schema) -> Iterator[LogicalReplication]:
+    """Two servers in new folders, joined, with a table of that schema."""
     publisher, subscriber = folder / "publisher", folder / "subscriber"
     with ExitStack() as stack:
         stack.enter_context(_server(link.station, publisher, STATION_IP))
         stack.enter_context(_server(link.central, subscriber, ""))
-        yield LogicalReplication(link, publisher, subscriber)
+        yield LogicalReplication(link, publisher, subscriber, schema)
 
 
 @contextmanager

@@ -9,16 +9,27 @@ import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from datetime import timedelta
 from pathlib import Path
 
 import psutil
 
 from benchmarks.link import CENTRAL_IP, Link, inside
-from vian.stations import add_station
+from events import station_name
+from store import load_key, make_key, open_log
+from sync.access import REPLICATE
+from sync.enrolment import new_secret
+from vian.admission import access_for
+from vian.clock import utc_now
+from vian.membership import Membership, save_membership
+from vian.settings import load_settings
+from vian.signatures import KEY_NAME
+from vian.tls import own_certificate
 
 STATION = "brno"
+_CENTRAL = "central"
 _PORT = 8470
-CENTRAL_URL = f"http://{CENTRAL_IP}:{_PORT}"
+CENTRAL_URL = f"https://{CENTRAL_IP}:{_PORT}"
 _END_SECONDS_MAX = 60.0
 
 
@@ -109,9 +120,8 @@ def _postmaster(pgdata: Path) -> psutil.Process:
 @contextmanager
 def central_server(link: Link, folder: Path) -> Iterator[Program]:
     """`vian serve --role central` on the link, over the log in folder/central."""
-    stations_file = folder / "stations.toml"
-    arguments = ["serve", "--role", "central", "--host", CENTRAL_IP, "--port", str(_PORT)]
-    program = Program(link.central, [*arguments, "--stations-file", str(stations_file)], folder / "central")
+    arguments = ["serve", "--role", "central", "--host", CENTRAL_IP, "--port", str(_PORT), "--tls", "generate"]
+    program = Program(link.central, [*arguments, "--station", _CENTRAL], folder / "central")
     try:
         program.first_line()
         yield program
@@ -122,8 +132,7 @@ def central_server(link: Link, folder: Path) -> Iterator[Program]:
 @contextmanager
 def station_daemon(link: Link, folder: Path, plan: Path | None = None) -> Iterator[Program]:
     """`vian sync` at the other end of the link, over the log in folder/station."""
-    arguments = ["sync", "--central", CENTRAL_URL, "--token-file", str(token_file(folder, STATION))]
-    arguments += ["--station", STATION, *(["--plan", str(plan)] if plan else [])]
+    arguments = ["sync", "--station", STATION, *(["--plan", str(plan)] if plan else [])]
     program = Program(link.station, arguments, folder / "station")
     try:
         yield program
@@ -132,11 +141,26 @@ def station_daemon(link: Link, folder: Path, plan: Path | None = None) -> Iterat
 
 
 def enrol(folder: Path, names: Sequence[str] = (STATION,)) -> None:
-    """Let the stations speak to central."""
-    for name in names:
-        add_station(folder / "stations.toml", name, token_file(folder, name))
+    """Let the stations speak to central, all by the key of the log in folder/station."""
+    settings = load_settings(data_dir=folder / "central", station=_CENTRAL)
+    own_certificate(settings.data_dir)
+    key = make_key(folder / "station" / KEY_NAME)
+    with open_log(data_dir=settings.data_dir) as log:
+        registry = access_for(log, settings).registry
+        for name in names:
+            secret = new_secret()
+            registry.invite(station_name(name), secret, [REPLICATE], [], utc_now() + timedelta(hours=1))
+            registry.enrol(name, secret, key.public, None)
+    save_membership(load_settings(data_dir=folder / "station", station=STATION), membership(folder, STATION))
 
 
-def token_file(folder: Path, name: str) -> Path:
-    """Where the station's token lies."""
-    return folder / f"{name}.token"
+def membership(folder: Path, name: str) -> Membership:
+    """What a station that was enrolled knows of central."""
+    central = load_key(folder / "central" / KEY_NAME)
+    return Membership(
+        address=CENTRAL_URL,
+        station=name,
+        central=_CENTRAL,
+        public_key=central.public.hex(),
+        certificate=own_certificate(folder / "central").certificate.read_text(),
+    )

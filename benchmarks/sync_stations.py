@@ -10,19 +10,20 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-from benchmarks.sync_servers import CENTRAL_URL, token_file
-from store import open_log
-from vian.replication import load_plan, station_daemon
-from vian.stations import read_token
+from benchmarks.sync_servers import membership
+from store import load_key, open_log
+from vian.replication import load_plan, peer_by_membership, station_daemon
+from vian.signatures import KEY_NAME
 
 
 def main(folder: Path, names: list[str]) -> None:
     """Run the stations' daemons until they are done."""
     with ExitStack() as stack:
         log = stack.enter_context(open_log(data_dir=folder / "station"))
+        key = load_key(folder / "station" / KEY_NAME)
         daemons = [
             stack.enter_context(
-                station_daemon(log, name, CENTRAL_URL, read_token(token_file(folder, name)), load_plan(None))
+                station_daemon(log, name, peer_by_membership(membership(folder, name), key), load_plan(None))
             )
             for name in names
         ]

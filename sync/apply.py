@@ -296,6 +296,9 @@ def _conflict(log: Log, records: Sequence[Record], error: SequenceConflict | Cha
     elif error.stored_hash is not None:
         code, first = "other_bytes", error.expected + 1
         got, wanted = f"payload {error.sent_hash}", f"payload {error.stored_hash}, which is stored"
+    elif error.until is not None:
+        code, first = "other_bytes", error.expected + 1
+        got, wanted = "a segment that reaches over where a run begins", f"one that ends at sequence {error.until}"
     else:
         code, first = "gap", error.expected + 1
         got, wanted = f"sequence {error.expected + 1}", f"sequence {error.actual + 1}"

@@ -35,6 +35,7 @@ from sync.signing import STATION_HEADER
 from sync.turns import NAME_LENGTH_MAX, Turns
 from sync.wire import (
     BODY_BYTES_MAX,
+    CHALLENGE_BYTES_MAX,
     FOLLOWS_HEADER,
     HELLO_BYTES_MAX,
     ORDER_HEADER,
@@ -244,7 +245,7 @@ def _version_2(
         order: Annotated[str, Header(alias=ORDER_HEADER, max_length=NAME_LENGTH_MAX)] = "",
         follows: Annotated[str, Header(alias=FOLLOWS_HEADER, max_length=NAME_LENGTH_MAX)] = "",
     ) -> SegmentsAnswer2:
-        with while_storing(), turns.named(call.caller.station, order):
+        with turns.named(call.caller.station, order), while_storing():
             answer = apply_2(
                 log,
                 call.caller,
@@ -259,7 +260,7 @@ def _version_2(
 
     @api.post("/countersign", summary="Central signs that it holds what a station's checkpoint says")
     def countersigned(
-        call: Annotated[Call, Depends(door.opens("countersign", REPLICATE, most.hello_bytes_max))],
+        call: Annotated[Call, Depends(door.opens("countersign", REPLICATE, CHALLENGE_BYTES_MAX))],
     ) -> Countersigned:
         return countersign(log, call.caller.station, call.body, door.access.key, now())
 

@@ -85,6 +85,8 @@ class Contacts:
     def greeted(self, hello: Greeted, protocol: int, now: datetime) -> None:
         """A station that may speak has said hello.
 
+        One that names no streams, as before a question or by `vian sync doctor`, leaves those that were named.
+
         Raises:
             LogUnavailable: The database is away.
         """
@@ -96,7 +98,8 @@ class Contacts:
                 "clock_offset_s, heads) values (%s, %s, %s, %s, %s, %s, %s, %s::jsonb) on conflict (station) do update "
                 "set (last_contact_at, hello_at, program, protocol, epoch, clock_offset_s, heads) = "
                 "(excluded.last_contact_at, excluded.hello_at, excluded.program, excluded.protocol, excluded.epoch, "
-                "excluded.clock_offset_s, excluded.heads)",
+                "excluded.clock_offset_s, "
+                "case when excluded.heads = '[]' then station_contacts.heads else excluded.heads end)",
                 (hello.station, now, now, _text(hello.program), protocol, hello.epoch, offset, json.dumps(heads)),
             )
         with self._lock:

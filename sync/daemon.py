@@ -26,7 +26,7 @@ from sync.client import Greeting, Link
 from sync.contact import Contact
 from sync.countersigning import Countersigning
 from sync.errors import BadAnswer, CentralError, PlanError, Refusal, Refused, SegmentRefused, StreamStopped
-from sync.flights import Flights, Landed
+from sync.flights import BACKLOG, Flights, Landed
 from sync.outbox import Capacity, Outbox
 from sync.pacing import Caps, Meter, Sizer
 from sync.plan import Entry, Plan
@@ -323,9 +323,9 @@ class Daemon:
         return self._rest("caught_up" if not works else "sending", min(waits.values(), default=None))
 
     def _chosen(self, ready: Sequence[Work]) -> Sequence[Work]:
-        """What is launched now; what is live does not wait for backlog that is under way."""
+        """What is launched now; what is live does not wait for what is under way of lanes behind its own."""
         if not self._flights.has_slot:
-            return in_order(work for work in ready if work.is_live) if self._flights.has_live_slot else []
+            return in_order(work for work in ready if work.is_live and self._flights.overtakes(work.entry.priority))
         works = chosen(ready, self._share, self._plan.backlog_share, self._sizer.size)
         is_early = bool(works) and not works[0].is_live and not self._flights.is_apart(self._sizer.took_s)
         return [] if is_early else works
@@ -379,7 +379,7 @@ class Daemon:
         self._share.sent(parcel.size, was_live=works[0].is_live)
         self._standing.launched(parcel.filled)
         self._state = "sending"
-        self._flights.launch(parcel)
+        self._flights.launch(parcel, works[0].entry.priority if works[0].is_live else BACKLOG)
         landed = self._flights.landed() if self._pace.in_flight == 1 else None
         return Step("sending") if landed is None else self._land(landed)
 

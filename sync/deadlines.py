@@ -17,6 +17,8 @@ from weakref import WeakSet
 import httpcore
 import httpx
 
+from sync.rotation import Rotation
+
 
 class _Limit(threading.local):
     """Until when the thread's own request may last."""
@@ -57,7 +59,9 @@ class Bounds:
 def bounded(client: httpx.Client) -> Bounds:
     """Bound the client's connections, proxies' included, and say by what."""
     bounds = Bounds()
-    for transport in (client._transport, *client._mounts.values()):
+    direct = client._transport
+    transports = direct.transports if isinstance(direct, Rotation) else (direct,)
+    for transport in (*transports, *client._mounts.values()):
         pool = getattr(transport, "_pool", None)
         if isinstance(pool, httpcore.ConnectionPool):
             # httpx has no way to give a network backend, httpcore has; both keep it under this name.

@@ -22,6 +22,7 @@ from sync.errors import (
     SessionOver,
     WireError,
 )
+from sync.unreachable import why_unreachable
 from sync.wire import Problem, parse
 
 DEADLINE_S = 60.0
@@ -81,8 +82,7 @@ class Exchange:
             raise CentralUnreachable(f"central at {self.address} gave no answer in time ({_said(error)})") from error
         except httpx.HTTPError as error:
             raise CentralUnreachable(
-                f"central at {self.address} cannot be reached: {_said(error)}. Next: check address and link; "
-                "nothing is lost, it goes on by itself when central is back"
+                f"central at {self.address} cannot be reached: {why_unreachable(error)}"
             ) from error
         if response.status_code == 200:
             return data
@@ -105,7 +105,7 @@ class Exchange:
         said = f"central at {self.address} answered {status}: {_explained(problem)}"
         if problem.code in SESSION_CODES:
             return SessionOver(said)
-        if status == 401 or problem.code == "foreign_station":
+        if status == 401 or problem.code in GRANT_CODES:
             return NotAuthorised(said)
         if problem.code == "protocol_version":
             return ProtocolMismatch(f"{said}. This station speaks version {self._version}")
@@ -137,12 +137,14 @@ class Exchange:
         """The error for an answer that is not central's."""
         return BadAnswer(
             f"what answers at {self.address} is not ViAn's central: {what}. "
-            f"Next: check the address; curl -i -X POST {self.address}{self._path}/hello must answer 401 with JSON"
+            f"Next: check the address; curl -i -X POST {self.address}{self._path}/hello must answer with JSON"
         )
 
 
 SESSION_CODES = ("no_session", "stale_challenge", "replayed")
 """Codes that say that a new hello begins a new session, and nothing else is wrong."""
+GRANT_CODES = ("foreign_station", "not_granted")
+"""Codes, beside every 401, of what only an operator can change."""
 UPGRADE = "Next: bring station and central to the same ViAn: pip install --upgrade vian"
 
 

@@ -18,6 +18,19 @@ _FAST_SECONDS = 0.1
 """Requests that are answered within this need not be kept apart."""
 
 
+BACKLOG = float("inf")
+"""The lane of a request in which nothing is live: whatever is live may overtake it."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Flight:
+    """A request under way."""
+
+    name: str
+    parcel: Parcel
+    live_lane: float
+
+
 @dataclass(frozen=True, slots=True)
 class Landed:
     """What became of a request."""
@@ -32,7 +45,7 @@ class Flights:
 
     Args:
         link: Central.
-        slots: How many may be under way at once; with more than one, a live one has a slot beside them.
+        slots: How many may be under way at once; with more than one, one more for what overtakes them.
         name: What to name requests by, unlike those of any other daemon.
         monotonic: Seconds that never go back.
     """
@@ -45,7 +58,7 @@ class Flights:
         self._number = 0
         self._launched_at = 0.0
         self._threads = ThreadPoolExecutor(slots + _LIVE_SLOTS, "vian-sync") if slots > 1 else None
-        self._under_way: dict[Future[Landed], tuple[str, Parcel]] = {}
+        self._under_way: dict[Future[Landed], _Flight] = {}
 
     def __len__(self) -> int:
         """How many are under way or landed and not given out."""
@@ -56,10 +69,10 @@ class Flights:
         """Whether another may be launched."""
         return len(self._under_way) < self._slots
 
-    @property
-    def has_live_slot(self) -> bool:
-        """Whether one with what is live may be launched, which does not wait for others to land."""
-        return self.has_slot or (self._slots > 1 and len(self._under_way) < self._slots + _LIVE_SLOTS)
+    def overtakes(self, lane: int) -> bool:
+        """Whether what is live in that lane need not wait for a slot: there is one for what is more urgent."""
+        has_room = self._slots > 1 and len(self._under_way) < self._slots + _LIVE_SLOTS
+        return has_room and all(lane < each.live_lane for each in self._under_way.values())
 
     def is_apart(self, took_s: float) -> bool:
         """Whether one launched now is far enough from the one before, where each takes so long.
@@ -71,10 +84,10 @@ class Flights:
 
     def filled(self) -> list[Filled]:
         """What those under way carry, in the order of their launch."""
-        return [each for _, parcel in self._under_way.values() for each in parcel.filled]
+        return [each for flight in self._under_way.values() for each in flight.parcel.filled]
 
-    def launch(self, parcel: Parcel) -> None:
-        """Send the parcel."""
+    def launch(self, parcel: Parcel, live_lane: float = BACKLOG) -> None:
+        """Send the parcel; what is live in it is of that lane or behind it."""
         self._number += 1
         self._launched_at = self._monotonic()
         name = f"{self._name}-{self._number}"
@@ -84,7 +97,7 @@ class Flights:
         else:
             future = Future()
             future.set_result(self._fly(parcel, name, follows))
-        self._under_way[future] = name, parcel
+        self._under_way[future] = _Flight(name, parcel, live_lane)
 
     def wait(self, seconds: float) -> None:
         """Return when one has landed, or the time is up."""
@@ -106,7 +119,7 @@ class Flights:
     def _followed(self, parcel: Parcel) -> str:
         """Name of the newest request under way that carries what this parcel goes on from."""
         keys = {each.key for each in parcel.filled}
-        names = [name for name, other in self._under_way.values() if keys & {each.key for each in other.filled}]
+        names = [other.name for other in self._under_way.values() if keys & {each.key for each in other.parcel.filled}]
         return names[-1] if names else ""
 
     def _fly(self, parcel: Parcel, name: str, follows: str) -> Landed:

@@ -1,6 +1,7 @@
 """The page of figures is what the last runs measured, and nothing else."""
 
-from benchmarks.report import PAGE, RESULTS, beside_flink, of_rules, over_the_log, page
+from benchmarks.measuring import Figure, Row
+from benchmarks.report import PAGE, RESULTS, beside_flink, of_rules, of_sync, over_the_log, page
 
 
 def test_the_page_is_written_from_the_results() -> None:
@@ -61,3 +62,17 @@ def test_rules_over_the_log_stand_beside_flink_and_what_was_wanted() -> None:
     assert "| A then B | 100 | 7 | 2,000,000 | 1,000,000 | 80,000 | 25 | at least 25: reached |" in section
     assert "committed situation, p99 | 160 ms | at most 150: missed |" in section
     assert "| memory after 60 minutes of event time, of that after a quarter of them | 1.03 times |" in section
+
+
+def test_sync_stands_beside_its_references_and_what_was_wanted() -> None:
+    raced = Row("durable end to end", "events/s", 900_000.0, 300_000.0, "logical replication", 3.0, 4.0)
+    latency = Figure("an alert at central, max of 90", "s", 0.81, 1.0, at_least=False)
+    plain = Figure("payload", "%", 93.5)
+    said = {"measured_at": "2026-01-01T10:00:00+00:00", "is_quick": False}
+    section = list(of_sync(said | {"rows": [each.plain() for each in (raced, latency, plain)]}))
+    assert (
+        "| durable end to end | 900,000 events/s | 300,000 (logical replication) | 3.00 | at least 4: missed |"
+        in section
+    )
+    assert "| an alert at central, max of 90 | 0.810 s | at most 1: reached |" in section
+    assert "| payload | 93.5 % |  |" in section

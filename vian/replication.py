@@ -3,6 +3,7 @@
 import random
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
@@ -10,8 +11,9 @@ import httpx
 import structlog
 
 from events import station_name
-from store import Log
+from store import Log, StationKey
 from sync.checking import check_filters
+from sync.client import Central, Link
 from sync.client_v1 import CentralV1
 from sync.daemon import Daemon
 from sync.deadlines import bounded
@@ -19,9 +21,14 @@ from sync.deriving import Deriver, DerivingChore
 from sync.plan import Plan
 from sync.planning import planned_in
 from sync.reports import Pace, Step
+from sync.rotation import take_turns
 from vian.clock import utc_now
 from vian.errors import WrongUsage
+from vian.membership import Membership, check_address, load_membership, station_key
 from vian.parts import Part
+from vian.settings import Settings
+from vian.stations import read_token
+from vian.tls import station_context
 
 logger = structlog.get_logger()
 
@@ -63,12 +70,67 @@ def plan_at_start(log: Log, station: str, path: Path | None, now: Callable[[], d
     return plan
 
 
+@dataclass(frozen=True, slots=True)
+class Peer:
+    """Central as this station reaches it."""
+
+    address: str
+    link: Callable[[httpx.Client], Link]
+    """speaks with it over an HTTP client"""
+    certificate: str | None = None
+    """the one that it must show, as PEM; None: one of an authority that is known"""
+    public_key: bytes | None = None
+    """what it countersigns with; None: not known"""
+
+
+def peer_by_token(address: str, token: str) -> Peer:
+    """Central for a station of its stations file: protocol 1."""
+    return Peer(address, lambda client: CentralV1(client, token))
+
+
+def peer_by_membership(membership: Membership, key: StationKey, address: str | None = None) -> Peer:
+    """Central for a station that it took in: protocol 2.
+
+    Args:
+        membership: What enrolment left.
+        key: The station's key.
+        address: Where central is reached by now, if not where it was then.
+    """
+    signer = membership.signer(key)
+    return Peer(
+        address or membership.address,
+        lambda client: Central(client, signer),
+        membership.certificate,
+        membership.central_key,
+    )
+
+
+def peer_of(settings: Settings) -> Peer | None:
+    """Central as the settings say: where the station is enrolled, else by its token; None where neither is said.
+
+    Raises:
+        WrongUsage: What is said will not do.
+    """
+    membership = load_membership(settings)
+    if membership is not None:
+        check_address(settings.central or membership.address)
+        return peer_by_membership(membership, station_key(settings), settings.central)
+    if settings.central is None:
+        return None
+    check_address(settings.central)
+    if settings.token_file is None:
+        raise WrongUsage(
+            f"this station is not enrolled at {settings.central}. Next: vian station invite {settings.station} on "
+            f"central, then vian station enrol CODE --central {settings.central} here"
+        )
+    return peer_by_token(settings.central, read_token(settings.token_file))
+
+
 @contextmanager
 def station_daemon(
     log: Log,
     station: str,
-    central: str,
-    token: str,
+    peer: Peer,
     plan: Plan,
     now: Callable[[], datetime] = utc_now,
     transport: httpx.BaseTransport | None = None,
@@ -78,44 +140,44 @@ def station_daemon(
     Args:
         log: The station's log.
         station: Name of the station.
-        central: Address of the central server.
-        token: The station's token.
+        peer: The central server.
         plan: Which streams, in which order.
         now: The station's clock.
         transport: Carries the requests; over the network by default.
 
     Raises:
-        WrongUsage: The address is not one of HTTP, or the log is another station's.
+        WrongUsage: The log is another station's.
     """
-    if not _is_address(central):
-        raise WrongUsage(f"central must be an address such as http://central.example:8470, got {central!r}")
     stations = sorted({head.stream.station for head in log.streams()})
     if stations and station not in stations:
         raise WrongUsage(
             f"this log has no streams of station {station}, but of {', '.join(stations[:5])}. "
-            f"Next: give --station {stations[0]} if central knows that name, else vian station add {stations[0]} "
+            f"Next: give --station {stations[0]} if central knows that name, else vian station invite {stations[0]} "
             f"there; or extract with --station {station}"
         )
-    with httpx.Client(base_url=central, timeout=REQUEST_SECONDS_MAX, transport=transport) as client:
+    context = station_context(peer.certificate)
+    with httpx.Client(
+        base_url=peer.address, timeout=REQUEST_SECONDS_MAX, verify=context, transport=transport
+    ) as client:
+        if transport is None:
+            take_turns(client)
         bounds = bounded(client)
         deriver = Deriver(log, station_name(station))
         try:
-            link = CentralV1(client, token)
-            chores = (DerivingChore(deriver),)
             yield Daemon(
-                log, station_name(station), plan, link, now=now, random=random.random, pace=PACE, chores=chores
+                log,
+                station_name(station),
+                plan,
+                peer.link(client),
+                now=now,
+                random=random.random,
+                pace=PACE,
+                central_key=peer.public_key,
+                chores=(DerivingChore(deriver),),
             )
         finally:
             deriver.close()
             bounds.abort()
-
-
-def _is_address(text: str) -> bool:
-    try:
-        url = httpx.URL(text)
-    except httpx.InvalidURL:
-        return False
-    return url.scheme in ("http", "https") and bool(url.host)
 
 
 def sync_part(daemon: Daemon) -> Part:

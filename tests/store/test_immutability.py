@@ -84,6 +84,9 @@ RIGHTS = ("SELECT", "INSERT", "UPDATE", "DELETE", "TRUNCATE", "REFERENCES", "TRI
 
 WRITER_CHANGES = {
     "checkpoints": {"UPDATE", "DELETE"},  # a subscriber's own place, not the log
+    "stations": {"UPDATE"},  # the registry, made of events
+    "enrolment_codes": {"UPDATE"},  # which are used
+    "sync_tokens": {"UPDATE", "DELETE"},  # sessions, which end
 }
 """What the writer may change of the log's tables; each with its reason. All else it can at most add to."""
 

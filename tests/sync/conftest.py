@@ -61,9 +61,10 @@ def points(first: int, events: int) -> list[TrackPoint]:
 
 
 def stored(log: Log, station: Station = BRNO) -> dict[str, list[tuple[Any, ...]]]:
-    """All that a log holds of a station, byte by byte, but for what is the log's own."""
+    """All that a log holds of a station, in the order of streams, byte by byte, but for what is the log's own."""
     held: dict[str, list[tuple[Any, ...]]] = {}
-    for segment in log.read_all(stations=[station]):
+    segments = log.read_all(stations=[station])
+    for segment in sorted(segments, key=lambda each: (each.header.epoch, each.header.first_sequence)):
         held.setdefault(str(segment.stream), []).append(content(segment))
     return held
 

@@ -12,6 +12,7 @@ from sync.outbox import Parcel
 from sync.wire import SegmentsAnswer
 
 NOTHING = Parcel((), ())
+ALERTS, POINTS = 0, 30
 
 
 class Hanging:
@@ -43,22 +44,29 @@ def flights_to(central: Hanging, slots: int, clock: Clock) -> Flights:
     return Flights(cast(Link, central), slots, "test", clock)
 
 
-def test_what_is_live_has_a_slot_beside_those_that_are_taken(central: Hanging) -> None:
+def test_what_is_live_overtakes_a_backlog_that_is_under_way(central: Hanging) -> None:
     flights = flights_to(central, 2, Clock())
     flights.launch(NOTHING)
-    assert flights.has_slot
     flights.launch(NOTHING)
     assert not flights.has_slot
-    assert flights.has_live_slot
-    flights.launch(NOTHING)
-    assert not flights.has_live_slot
+    assert flights.overtakes(POINTS)
+    flights.launch(NOTHING, POINTS)
+    assert not flights.overtakes(ALERTS), "there is one slot beside the others"
+
+
+def test_what_is_live_overtakes_lanes_behind_its_own(central: Hanging) -> None:
+    flights = flights_to(central, 2, Clock())
+    flights.launch(NOTHING, POINTS)
+    flights.launch(NOTHING, POINTS)
+    assert flights.overtakes(ALERTS)
+    assert not flights.overtakes(POINTS)
 
 
 def test_one_slot_is_one_slot(central: Hanging) -> None:
     central.may_answer.set()
     flights = flights_to(central, 1, Clock())
     flights.launch(NOTHING)
-    assert not flights.has_live_slot
+    assert not flights.overtakes(ALERTS)
 
 
 def test_two_requests_on_a_slow_link_begin_apart(central: Hanging) -> None:

@@ -17,7 +17,7 @@ from tests.store.samples import NOON, PRODUCER, point, query
 from tests.vian.test_rules import write_rule
 from vian.api import bind, create_app, serving
 from vian.parts import Parts, stepping
-from vian.replication import load_plan, station_daemon, sync_part
+from vian.replication import load_plan, peer_by_token, station_daemon, sync_part
 from vian.watching import processor_part
 
 GATE = StreamName.of("brno", "gate", "track_point")
@@ -60,7 +60,7 @@ def test_projector_rules_and_sync_wait_for_room_and_then_catch_up(small_disk: Pa
         open_log(data_dir=small_disk / "log") as log,
         central_beside(log) as central,
         serving(create_app(central, grants), bind("127.0.0.1", 0)) as address,
-        station_daemon(log, station_name("brno"), address, TOKEN, load_plan(None)) as daemon,
+        station_daemon(log, station_name("brno"), peer_by_token(address, TOKEN), load_plan(None)) as daemon,
     ):
         projector = Projector(log)
         parts = [

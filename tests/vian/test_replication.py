@@ -1,15 +1,18 @@
 from datetime import UTC
 from pathlib import Path
 
+import httpx
 import pytest
 
 from events import SHIPPED, StreamName
-from store import Log
+from store import Log, make_key
 from sync.errors import PlanError
 from tests.vian.samples import START, append, points
 from vian.clock import utc_now
 from vian.errors import WrongUsage
-from vian.replication import load_plan, station_daemon
+from vian.membership import Membership, save_membership
+from vian.replication import load_plan, peer_by_token, peer_of, station_daemon
+from vian.settings import load_settings
 
 TOKEN = "a-token-of-brno-that-nobody-guesses"
 
@@ -34,24 +37,71 @@ def test_a_plan_that_is_not_there_is_told() -> None:
         load_plan(Path("gone.yaml"))
 
 
-@pytest.mark.parametrize("central", ["central.example", "ftp://x", "http://", ""])
-def test_an_address_that_is_none_is_told_with_an_example(log: Log, central: str) -> None:
-    daemon = station_daemon(log, "brno", central, TOKEN, load_plan(None))
-    with pytest.raises(WrongUsage, match=r"must be an address such as http://central\.example:8470, got '"), daemon:
-        pass
+@pytest.mark.parametrize(
+    "central", ["central.example", "ftp://x", "http://", "", "http://central.example", "http://[::2]"]
+)
+def test_an_address_that_is_none_or_not_safe_is_told_with_an_example(central: str) -> None:
+    token_file().write_text(TOKEN)
+    said = r"(such as https://central\.example:8470, got '|must be reached over https, got .*Next: give central a cert)"
+    with pytest.raises(WrongUsage, match=said):
+        peer_of(load_settings(station="brno", central=central, token_file=token_file()))
+
+
+@pytest.mark.parametrize("central", ["http://127.0.0.1:8470", "http://[::1]", "http://localhost:80", "https://x:1"])
+def test_a_station_with_a_token_speaks_protocol_1_where_it_is_safe(central: str) -> None:
+    token_file().write_text(TOKEN)
+    peer = peer_of(load_settings(station="brno", central=central, token_file=token_file()))
+    assert peer is not None
+    with httpx.Client(base_url=peer.address) as client:
+        assert peer.link(client).protocol == 1
+
+
+def test_an_enrolled_station_speaks_protocol_2_whatever_tokens_it_has(tmp_path: Path) -> None:
+    settings = load_settings(station="brno", data_dir=tmp_path, token_file=token_file())
+    key = make_key(tmp_path / "station.key")
+    public = "ab" * 32
+    member = Membership(address="https://central.example:1", station="brno", central="c", public_key=public)
+    save_membership(settings, member)
+    peer = peer_of(settings)
+    assert peer is not None
+    assert (peer.address, peer.public_key) == ("https://central.example:1", bytes.fromhex(public))
+    with httpx.Client(base_url=peer.address) as client:
+        assert peer.link(client).protocol == 2
+    moved = peer_of(settings.model_copy(update={"central": "https://elsewhere:2"}))
+    assert moved is not None
+    assert moved.address == "https://elsewhere:2"
+    (tmp_path / "station.key").unlink()
+    with pytest.raises(WrongUsage, match=r"there is no key in .*Next: vian init"):
+        peer_of(settings)
+    assert key.id
+
+
+def test_a_station_that_is_neither_enrolled_nor_has_a_token_is_told(tmp_path: Path) -> None:
+    settings = load_settings(station="brno", data_dir=tmp_path)
+    assert peer_of(settings) is None
+    with pytest.raises(
+        WrongUsage, match=r"not enrolled at https://x\. Next: vian station invite brno on central, then"
+    ):
+        peer_of(settings.model_copy(update={"central": "https://x"}))
+
+
+def token_file() -> Path:
+    return Path("brno.token")
 
 
 def test_a_log_of_another_station_is_not_sent_under_this_name(log: Log) -> None:
     append(log, points(1))
     said = "this log has no streams of station typo, but of brno. Next: give --station brno "
-    said += "if central knows that name, else vian station add brno there; or extract with --station typo"
-    with pytest.raises(WrongUsage, match=said), station_daemon(log, "typo", "http://x", TOKEN, load_plan(None)):
+    said += "if central knows that name, else vian station invite brno there; or extract with --station typo"
+    peer = peer_by_token("http://x", TOKEN)
+    with pytest.raises(WrongUsage, match=said), station_daemon(log, "typo", peer, load_plan(None)):
         pass
     assert len(log.streams()) == 1
 
 
 def test_an_empty_log_may_become_any_stations(log: Log) -> None:
-    with station_daemon(log, "brno", "http://central", TOKEN, load_plan(None), now=lambda: START) as daemon:
+    peer = peer_by_token("http://central", TOKEN)
+    with station_daemon(log, "brno", peer, load_plan(None), now=lambda: START) as daemon:
         assert daemon.step().did == "planned"
 
 

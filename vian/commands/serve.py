@@ -23,19 +23,18 @@ from sync.refusals import Refusals
 from vian import logs, options
 from vian.admission import access_for, certificate_of, refusals_for, refusals_part
 from vian.api import bind, create_app, serving
-from vian.errors import WrongUsage
 from vian.options import opened, settings_for
 from vian.output import Output
 from vian.parts import Part, Parts, stepping
 from vian.precedence import Precedence
 from vian.pruning import disk_part
-from vian.replication import plan_at_start, station_daemon, sync_part
+from vian.replication import peer_of, plan_at_start, station_daemon, sync_part
 from vian.rows import upkeep_part
 from vian.rules import limits_of
 from vian.settings import Settings
 from vian.signatures import has_key, signing_part
 from vian.staging import stages_beside_that_run, stages_part
-from vian.stations import StationsFile, read_token
+from vian.stations import StationsFile
 from vian.watching import check_there, processor_part
 
 logger = structlog.get_logger()
@@ -151,12 +150,10 @@ def _parts(
         if stages:
             parts.append(stages_part(log, settings.station, stages))
         parts.append(processor_part(log, settings.station, settings.rules, limits, settings.rules_look_s))
-    if role is Role.STATION and settings.central is not None:
-        if settings.token_file is None:
-            raise WrongUsage("sync needs this station's token. Next: give --token-file FILE")
-        token = read_token(settings.token_file)
+    peer = peer_of(settings) if role is Role.STATION else None
+    if peer is not None:
         plan = plan_at_start(log, settings.station, settings.plan)
-        daemon = stack.enter_context(station_daemon(log, settings.station, settings.central, token, plan))
+        daemon = stack.enter_context(station_daemon(log, settings.station, peer, plan))
         parts.append(sync_part(daemon))
     return parts
 

@@ -14,8 +14,7 @@ from vian.options import opened, settings_for
 from vian.output import Output
 from vian.parts import Parts
 from vian.pruning import disk_part
-from vian.replication import plan_at_start, station_daemon, sync_part
-from vian.stations import read_token
+from vian.replication import peer_of, plan_at_start, station_daemon, sync_part
 
 app = typer.Typer(help="Replicate this station's chosen streams to central, and choose them.")
 app.add_typer(sync_plan.app, name="plan")
@@ -23,12 +22,17 @@ app.add_typer(sync_plan.app, name="plan")
 
 @app.callback(
     invoke_without_command=True,
-    epilog="Example: vian sync --central http://central.example:8470 --token-file brno-2.token --once",
+    epilog="Example: vian sync --station brno-2 --once",
 )
 def sync(
     context: typer.Context,
-    central: Annotated[str | None, typer.Option("--central", help="Address of the central server.")] = None,
-    token_file: Annotated[Path | None, typer.Option("--token-file", help="File with this station's token.")] = None,
+    central: Annotated[
+        str | None,
+        typer.Option("--central", help="Address of the central server, if not where it took this station in."),
+    ] = None,
+    token_file: Annotated[
+        Path | None, typer.Option("--token-file", help="Token of a stations file, where this station is not enrolled.")
+    ] = None,
     plan: Annotated[
         Path | None,
         typer.Option(
@@ -46,18 +50,21 @@ def sync(
         _check_alone(context)
         return
     settings = settings_for(data_dir, dsn, station=station, central=central, token_file=token_file, plan=plan)
-    if settings.central is None or settings.token_file is None:
-        raise WrongUsage("where to, and as whom? Next: give --central URL and --token-file FILE")
+    peer = peer_of(settings)
+    if peer is None:
+        raise WrongUsage(
+            "where to? Next: vian station enrol CODE --central URL, with the code that vian station invite "
+            f"{settings.station} shows on central"
+        )
     output = Output(is_json=as_json)
-    token = read_token(settings.token_file)
     with ExitStack() as stack:
         log = stack.enter_context(opened(settings, data_dir=data_dir, is_made=not once))
         chosen = plan_at_start(log, settings.station, settings.plan)
-        daemon = stack.enter_context(station_daemon(log, settings.station, settings.central, token, chosen))
+        daemon = stack.enter_context(station_daemon(log, settings.station, peer, chosen))
         if once:
             daemon.catch_up()
         else:
-            output.note(f"station {settings.station} replicates to {settings.central}; Ctrl-C ends it")
+            output.note(f"station {settings.station} replicates to {peer.address}; Ctrl-C ends it")
             with Parts([sync_part(daemon), disk_part(log, settings)]) as parts:
                 while parts.wait(1.0):
                     pass

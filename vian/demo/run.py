@@ -10,30 +10,35 @@ import hashlib
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from functools import partial
 from pathlib import Path
 from time import monotonic
 
 import httpx
 import pyarrow as pa
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
+from events import station_name
 from patterns.engine.compiling import compiling_beside
 from patterns.files.rule import Rule
 from patterns.processor import Processor, deploy
-from store import Log, Projector, Verification, verify
+from store import Log, Projector, StationKey, Verification, verify
+from sync.access import REPLICATE, Access
 from sync.daemon import Daemon
-from sync.grants import Grants, token_hash
+from sync.enrolment import new_secret
 from vian.api import bind, create_app, serving
 from vian.demo.clip import Clip
 from vian.demo.report import Facts, write_report
 from vian.demo.scenes import rules_for, source_of
+from vian.enrolling import enrol_at
 from vian.errors import WorldFailed, WrongUsage
 from vian.extraction import Extraction, Job, extract_motion, media_clock
+from vian.membership import Membership
 from vian.output import Output
 from vian.parts import Parts, stepping
 from vian.querying import query
-from vian.replication import load_plan, station_daemon, sync_part
+from vian.replication import load_plan, peer_by_membership, station_daemon, sync_part
 from vian.rules import file_text
 
 STATION = "demo"
@@ -45,7 +50,11 @@ ANSWER_SQL = (
     "SELECT rule, severity, count(*) AS situations, min(time) AS first, max(time) AS last "
     "FROM situation_detected GROUP BY ALL ORDER BY rule"
 )
-_TOKEN = hashlib.sha256(b"the demo's two logs trust each other on loopback").hexdigest()
+_KEY, _CENTRAL_KEY = (
+    StationKey(Ed25519PrivateKey.from_private_bytes(hashlib.sha256(seed).digest()))
+    for seed in (b"the demo's station", b"the demo's central server")
+)
+"""Known to everybody, and the same each time: the demo's two logs trust each other on loopback alone."""
 _CONVERGE_SECONDS_MAX = 120.0
 _STEP_SECONDS = 0.5
 
@@ -130,14 +139,14 @@ def _run_together(
     stack: ExitStack, station: Log, central: Log, rules: list[Rule], clip: Clip, output: Output
 ) -> Extraction:
     """Extraction, projectors, rules, server and sync at once, until all have come to the same place."""
-    app = create_app(central, Grants({STATION: token_hash(_TOKEN)}))
+    access = Access(central, station_name("central"), _CENTRAL_KEY, now=lambda: CLIP_START)
+    app = create_app(central, access=access)
     address = stack.enter_context(serving(app, bind("127.0.0.1", 0)))
     daemon = stack.enter_context(
         station_daemon(
             station,
             STATION,
-            CENTRAL,
-            _TOKEN,
+            peer_by_membership(_membership(access, address), _KEY, CENTRAL),
             load_plan(None),
             now=lambda: CLIP_START,
             transport=_Loopback(httpx.URL(address)),
@@ -163,6 +172,18 @@ def _run_together(
         output.note("bringing rules, row tables and the central log to the same place")
         _converge(running, station, central, processor, projectors, daemon)
     return extraction
+
+
+def _membership(access: Access, address: str) -> Membership:
+    """The station taken in by the central server, by a one-time code unless it was in an earlier run."""
+    name = station_name(STATION)
+    found = access.registry.station(name)
+    if found is None or found.key_id != _KEY.id:
+        secret = new_secret()
+        access.registry.invite(name, secret, [REPLICATE], [], CLIP_START + timedelta(minutes=5))
+        return enrol_at(httpx.URL(address), None, secret, name, _KEY)
+    central = access.registry.central
+    return Membership(address=address, station=name, central=central, public_key=_CENTRAL_KEY.public.hex())
 
 
 def _job(station: Log, clip: Clip, show: Callable[[int, int | None], None], output: Output) -> Job:

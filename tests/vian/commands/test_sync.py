@@ -109,13 +109,14 @@ def test_a_central_that_cannot_be_reached_is_told(station: Log, run: Run) -> Non
 @pytest.mark.parametrize(
     "options, said",
     [
-        ([], "where to, and as whom? Next: give --central URL and --token-file FILE"),
-        (["--central", "http://x"], "give --central URL and --token-file FILE"),
+        ([], "where to? Next: vian station enrol CODE --central URL, with the code that vian station invite brno"),
+        (["--central", "https://x"], "this station is not enrolled at https://x. Next: vian station invite brno on"),
+        (["--central", "http://x.example", "--token-file", TOKEN], "must be reached over https, got http://x.example"),
         (["--central", "x", "--token-file", TOKEN], "central must be an address such as"),
-        (["--central", "http://x", "--token-file", "gone"], "the token file gone cannot be read"),
-        (["--central", "http://x", "--token-file", TOKEN, "--plan", "gone.yaml"], "gone.yaml"),
-        (["--central", "http://x", "--token-file", TOKEN, "--station", "typo"], "Next: give --station brno"),
-        (["--central", "http://x", "--token-file", TOKEN, "--station", "a/b"], "a/b"),
+        (["--central", "https://x", "--token-file", "gone"], "the token file gone cannot be read"),
+        (["--central", "https://x", "--token-file", TOKEN, "--plan", "gone.yaml"], "gone.yaml"),
+        (["--central", "https://x", "--token-file", TOKEN, "--station", "typo"], "Next: give --station brno"),
+        (["--central", "https://x", "--token-file", TOKEN, "--station", "a/b"], "a/b"),
     ],
 )
 def test_what_is_missing_or_wrong_is_told_before_anything_is_sent(
@@ -143,7 +144,7 @@ def test_what_is_missing_or_wrong_is_told_before_anything_is_sent(
         (["--role", "central", "--tls", "generate", "--tls-certificate", "x"], 2, "two certificates: give either"),
         (["--role", "central", "--tls", "yes"], 2, "setting tls: Input should be 'off' or 'generate', got 'yes'"),
         (["--role", "central", "--stations-file", "gone.toml"], 2, "the stations file gone.toml cannot be read"),
-        (["--role", "station", "--central", "http://x"], 2, "sync needs this station's token. Next: give --token-file"),
+        (["--role", "station", "--central", "https://x"], 2, "this station is not enrolled at https://x. Next: vian"),
         (["--role", "station", "--rules", "gone"], 2, "there is no gone to read rules from. Next: mkdir gone"),
         (["--role", "station", "--port", "70000"], 2, "port"),
         (["--role", "station", "--host", "192.0.2.1"], 1, "cannot listen on 192.0.2.1"),
