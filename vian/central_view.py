@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 
-from events import RequestRefused, Run, Station, StreamName, decode, events_of
+from events import RequestRefused, Run, Station, StationEnrolled, StreamName, decode, events_of
 from store import Log
 from store.health import newest_recorded
 from sync.contacts import StationContact, contacts_of
@@ -97,7 +97,7 @@ def central_view(log: Log, registry: Registry, now: datetime) -> CentralView:
     """
     registered = {each.name: each for each in registry.stations()}
     contacts = contacts_of(log)
-    refused = _refusals(log, registry.central, now, registered.keys() | contacts.keys())
+    refused = _refusals(log, now, registered.keys() | contacts.keys())
     names = sorted(registered.keys() | contacts.keys())
     held = _held(log, names)
     recorded = newest_recorded(log, names)
@@ -108,7 +108,13 @@ def central_view(log: Log, registry: Registry, now: datetime) -> CentralView:
         rows.append(_row(name, registered.get(name), contact, streams, refused.get(name, Counter()), now))
     if UNKNOWN in refused:
         rows.append(_row(UNKNOWN, None, None, (), refused[UNKNOWN], now))
-    return CentralView(registry.central, log.head(), len(registry.invitations()), tuple(rows))
+    return CentralView(_own_name(log, registry), log.head(), len(registry.invitations()), tuple(rows))
+
+
+def _own_name(log: Log, registry: Registry) -> Station:
+    """Central's name, as its log knows it; as the settings say where it does not."""
+    known = sorted({head.stream.station for head in log.streams() if head.stream.type == StationEnrolled.type_name})
+    return registry.central if registry.central in known or not known else known[0]
 
 
 def _row(
@@ -165,10 +171,12 @@ def _streams(
         yield HeldStream(key.stream, key.epoch, said.get(key), end, behind, len(gaps), sum(gaps), lag)
 
 
-def _refusals(log: Log, central: Station, now: datetime, known: Iterable[str]) -> dict[str, Counter[str]]:
+def _refusals(log: Log, now: datetime, known: Iterable[str]) -> dict[str, Counter[str]]:
     """How many requests were refused over the last day, by the known station that they named, and by code."""
     names, found = set(known), dict[str, Counter[str]]()
-    for segment in log.read_all(types=[RequestRefused.type_name], stations=[central], since=now - REFUSALS_OVER):
+    for segment in log.read_all(types=[RequestRefused.type_name], since=now - REFUSALS_OVER):
+        if segment.stream.station in names:
+            continue  # what a station refused that is a central server itself
         for event in events_of(decode(segment, log.catalogue)):
             if isinstance(event, RequestRefused) and event.time >= now - REFUSALS_OVER:
                 name = event.claimed if event.claimed in names else UNKNOWN

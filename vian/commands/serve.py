@@ -10,12 +10,14 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
+from time import monotonic
 from types import FrameType
 from typing import Annotated
 
 import structlog
 import typer
 
+from events import station_name
 from patterns.engine.compiling import compiling_beside
 from store import Log, Projector
 from sync.access import Access
@@ -23,6 +25,8 @@ from sync.refusals import Refusals
 from vian import logs, options
 from vian.admission import access_for, certificate_of, refusals_for, refusals_part
 from vian.api import bind, create_app, serving
+from vian.clock import utc_now
+from vian.metrics import Metrics, Watched
 from vian.options import opened, settings_for
 from vian.output import Output
 from vian.parts import Part, Parts, stepping
@@ -101,9 +105,16 @@ def serve(
         parts = stack.enter_context(Parts(_parts(stack, log, settings, role, door, precedence)))
         stopping = _stop_on_signals()
         app = (
-            create_app(log)
+            create_app(log, metrics=_metrics(log, settings, None))
             if door is None
-            else create_app(log, grants, access=door.access, note=door.refusals.note, while_storing=precedence.urgent)
+            else create_app(
+                log,
+                grants,
+                access=door.access,
+                note=door.refusals.note,
+                while_storing=precedence.urgent,
+                metrics=_metrics(log, settings, door),
+            )
         )
         address = stack.enter_context(serving(app, listening, certificate))
         Output(is_json=as_json).result(
@@ -126,6 +137,12 @@ def _door(log: Log, settings: Settings) -> _Door:
     if settings.stations_file is None and not door.access.registry.stations():
         logger.info("no station is enrolled yet", next="vian station invite NAME")
     return door
+
+
+def _metrics(log: Log, settings: Settings, door: _Door | None) -> Metrics:
+    registry, refused = (None, dict) if door is None else (door.access.registry, door.refusals.counts)
+    watched = Watched(log, station_name(settings.station), registry, refused)
+    return Metrics(watched, utc_now, monotonic, is_public=settings.metrics_public)
 
 
 def _parts(

@@ -274,7 +274,9 @@ def _one(row: StationRow, late_s: float) -> _Shown:
 def _row_data(row: StationRow) -> dict[str, Any]:
     names = [name for name in StationRow.__dataclass_fields__ if name not in ("streams", "refusals")]
     totals = {"streams": len(row.streams), "behind": row.behind, "missing": row.missing, "lag_s": row.lag_s}
-    return {"kind": "station"} | {name: getattr(row, name) for name in names} | totals | {"refusals": dict(row.refusals)}
+    return (
+        {"kind": "station"} | {name: getattr(row, name) for name in names} | totals | {"refusals": dict(row.refusals)}
+    )
 
 
 def _row_late(row: StationRow, late_s: float) -> Iterator[str]:
