@@ -16,9 +16,7 @@ def held_of(log: Log, station: Station) -> dict[StreamKey, Runs]:
     Raises:
         LogUnavailable: The database is away.
     """
-    return {
-        StreamKey(*place): tuple(runs) for place, runs in log.all_runs().items() if place[0].station == station and runs
-    }
+    return {StreamKey(*place): tuple(runs) for place, runs in log.all_runs(station=station).items() if runs}
 
 
 def runs_of(log: Log, keys: Iterable[StreamKey]) -> dict[StreamKey, Runs]:

@@ -25,6 +25,7 @@ from vian.version import VERSION
 MODULES = {
     "demo": "demo",
     "query": "query",
+    "find": "find",
     "shell": "shell",
     "streams": "log",
     "tail": "log",

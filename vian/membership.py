@@ -55,8 +55,12 @@ def membership_path(settings: Settings) -> Path:
     return key_path(settings).parent / MEMBERSHIP_NAME
 
 
-def load_membership(settings: Settings) -> Membership | None:
+def load_membership(settings: Settings, *, is_any: bool = False) -> Membership | None:
     """The station's membership; None where it was never enrolled.
+
+    Args:
+        settings: Where it is, and the station's name.
+        is_any: Whether it may be that of a station of another name than the settings give.
 
     Raises:
         WrongUsage: The file cannot be read, or is another station's.
@@ -75,7 +79,7 @@ def load_membership(settings: Settings) -> Membership | None:
             f"{path} does not say which central this station belongs to: {error.errors()[0]['msg']}. "
             "Next: vian station enrol CODE --central URL"
         ) from error
-    if found.station != settings.station:
+    if found.station != settings.station and not is_any:
         raise WrongUsage(
             f"central knows this station as {found.station}, and --station is {settings.station}. "
             f"Next: give --station {found.station}, or enrol as {settings.station}: vian station enrol CODE"

@@ -201,7 +201,8 @@ def test_central_gets_the_derived_stream_in_place_of_its_base(
     name = derived_name(GATE, made.entries[0])
     assert frames(derived(central_log, made)) == [frame for frame in range(100) if frame % 7 == 1]
     assert central_log.stream_head(name) == station_log.stream_head(name)
-    assert {head.stream for head in central_log.streams()} == {name, YARD, plan_stream(BRNO)}
+    got = {head.stream for head in central_log.streams() if head.stream.station == BRNO}
+    assert got == {name, YARD, plan_stream(BRNO)}
     assert verify(central_log).broken == []
 
 

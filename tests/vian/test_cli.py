@@ -47,12 +47,14 @@ READERS = [
 def test_the_commands_are_those_that_there_should_be() -> None:
     assert {" ".join(path) for path in ALL} == {
         "archive", "archive project", "archive relocate", "archive status", "backup", "demo", "doctor", "events",
-        "evidence export", "evidence verify", "extract motion", "init", "project", "project maintain",
-        "project rebuild", "project status", "psql", "query", "restore", "rules backtest",
-        "rules check", "rules deploy", "rules expand", "rules explain", "rules flink", "rules lint", "rules new",
-        "rules profile", "rules retire", "rules run", "rules status", "rules test", "rules why-not", "serve", "shell",
-        "sign", "stages check", "stages run", "station add", "streams", "sync", "tail", "upgrade", "verify",
-        "zones calibrate", "zones define", "zones draw", "zones import", "zones list", "zones remove",
+        "evidence export", "evidence verify", "extract motion", "find plate", "find situation", "init", "project",
+        "project maintain", "project rebuild", "project status", "prune", "psql", "query", "restore",
+        "rules backtest", "rules check", "rules deploy", "rules expand", "rules explain", "rules flink", "rules lint",
+        "rules new", "rules profile", "rules retire", "rules run", "rules status", "rules test", "rules why-not",
+        "serve", "shell", "sign", "stages check", "stages run", "station add", "station enrol", "station invite",
+        "station leave", "station list", "station revoke", "streams", "sync", "sync plan pause", "sync plan preview",
+        "sync plan resume", "sync plan set", "sync plan show", "tail", "upgrade", "verify", "zones calibrate",
+        "zones define", "zones draw", "zones import", "zones list", "zones remove",
     }  # fmt: skip
 
 
@@ -217,7 +219,7 @@ def test_each_command_of_the_table_is_the_one_of_that_name(name: str) -> None:
 
 def test_every_module_of_commands_is_in_the_table() -> None:
     there = {path.stem for path in Path(log_commands.__file__).parent.glob("*.py")} - {"__init__"}
-    of_a_group = {name for name in there if name.startswith("rules_")}  # registered by the module `rules`
+    of_a_group = {name for name in there if name.startswith(("rules_", "sync_"))}  # registered by `rules` and `sync`
     assert there - of_a_group == set(cli.MODULES.values())
 
 

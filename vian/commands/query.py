@@ -13,12 +13,15 @@ import pyarrow.csv
 import pyarrow.parquet
 import typer
 
+from store import Log
 from vian import options
+from vian.clock import utc_now
 from vian.errors import WorldFailed, WrongUsage
 from vian.options import check_known, opened, settings_for, time_of
 from vian.output import Output, to_json
 from vian.querying import Scope
 from vian.querying import query as answer
+from vian.settings import Settings
 
 _EXAMPLE = 'Example: vian query "SELECT type, count(*) FROM events GROUP BY ALL"'
 
@@ -43,6 +46,14 @@ def query(
         str,
         typer.Argument(help="DuckDB SQL, MATCH_RECOGNIZE too; each event type is a table, `events` has all envelopes."),
     ],
+    at_central: Annotated[
+        bool,
+        typer.Option("--central", help="Ask central, in PostgreSQL's SQL; this log, marked PARTIAL, where it is away."),
+    ] = False,
+    limit: Annotated[
+        int | None,
+        typer.Option("--limit", min=1, max=10_000, help="With --central: most rows.", show_default="1000"),
+    ] = None,
     format_: Annotated[
         Format, typer.Option("--format", help="Form of the answer: table, csv, json, parquet or arrow.")
     ] = Format.TABLE,
@@ -56,22 +67,56 @@ def query(
     dsn: options.Dsn = None,
     as_json: options.Json = False,
 ) -> None:
-    """Answer a query over the log with DuckDB."""
+    """Answer a query over the log with DuckDB, or over what central has."""
     chosen = Format.JSON if as_json else format_
     if chosen in (Format.PARQUET, Format.ARROW) and output_file is None:
         raise WrongUsage(f"--format {chosen} is binary and needs a file. Next: add --output FILE")
-    with opened(settings_for(data_dir, dsn), data_dir=data_dir) as log:
-        check_known("source", source, {head.stream.source for head in log.streams()})
-        scope = Scope(time_of("--since", since), time_of("--until", until), source)
-        table = answer(log, sql, scope)
+    settings, output = settings_for(data_dir, dsn), Output(is_json=chosen is Format.JSON)
+    _check_central(at_central, limit, since or until or source)
+    with opened(settings, data_dir=data_dir) as log:
+        if at_central:
+            table = _at_central(log, settings, sql, limit, output)
+        else:
+            check_known("source", source, {head.stream.source for head in log.streams()})
+            table = answer(log, sql, Scope(time_of("--since", since), time_of("--until", until), source))
     try:
-        write(presentable(table), chosen, output_file, Output(is_json=chosen is Format.JSON))
+        write(presentable(table), chosen, output_file, output)
     except BrokenPipeError:
         raise  # the reader of standard output has gone; it is no file of ours
     except OSError as error:
         folder = output_file.parent if output_file else Path()
         wanted = "" if folder.is_dir() else f". Next: mkdir -p {folder}"
         raise WorldFailed(f"the answer cannot be written to {output_file}: {error.strerror}{wanted}") from error
+
+
+def _check_central(at_central: bool, limit: int | None, scope: object) -> None:
+    """Nothing, if the options go together.
+
+    Raises:
+        WrongUsage: They do not.
+    """
+    if at_central and scope:
+        raise WrongUsage("--central takes no --since, --until and --source. Next: say it in the SQL: WHERE time >= ...")
+    if limit is not None and not at_central:
+        raise WrongUsage("--limit is for --central. Next: say it in the SQL: LIMIT 10")
+
+
+def _at_central(log: Log, settings: Settings, sql: str, limit: int | None, output: Output) -> pa.Table:
+    """Central's answer; what it leaves out is told."""
+    # All of sync and HTTP, which queries of this log need not wait for.
+    from sync.questions import SQL_LENGTH_MAX, QueryQuestion
+    from vian.asking import person, query_at_central
+    from vian.desk import central_desk, enrolment
+
+    if len(sql) > SQL_LENGTH_MAX:
+        raise WrongUsage(f"central takes at most {SQL_LENGTH_MAX} characters of SQL, got {len(sql)}")
+    question = QueryQuestion(sql=sql, person=person(), **({} if limit is None else {"limit": limit}))
+    membership = enrolment(settings)
+    with central_desk(log, settings, membership) as desk:
+        source, table = query_at_central(desk, log, membership.station, question)
+    for remark in source.remarks(utc_now()):
+        output.note(remark)
+    return table
 
 
 def presentable(table: pa.Table) -> pa.Table:

@@ -16,11 +16,13 @@ from typing import Annotated
 
 import structlog
 import typer
+from fastapi import FastAPI
 
 from events import station_name
 from patterns.engine.compiling import compiling_beside
 from store import Log, Projector
 from sync.access import Access
+from sync.grants import Grantor
 from sync.refusals import Refusals
 from vian import logs, options
 from vian.admission import access_for, certificate_of, refusals_for, refusals_part
@@ -32,6 +34,7 @@ from vian.output import Output
 from vian.parts import Part, Parts, stepping
 from vian.precedence import Precedence
 from vian.pruning import disk_part
+from vian.questions import answering_for
 from vian.replication import peer_of, plan_at_start, station_daemon, sync_part
 from vian.rows import upkeep_part
 from vian.rules import limits_of
@@ -107,14 +110,7 @@ def serve(
         app = (
             create_app(log, metrics=_metrics(log, settings, None))
             if door is None
-            else create_app(
-                log,
-                grants,
-                access=door.access,
-                note=door.refusals.note,
-                while_storing=precedence.urgent,
-                metrics=_metrics(log, settings, door),
-            )
+            else _central_app(log, settings, grants, door, precedence)
         )
         address = stack.enter_context(serving(app, listening, certificate))
         Output(is_json=as_json).result(
@@ -143,6 +139,18 @@ def _metrics(log: Log, settings: Settings, door: _Door | None) -> Metrics:
     registry, refused = (None, dict) if door is None else (door.access.registry, door.refusals.counts)
     watched = Watched(log, station_name(settings.station), registry, refused)
     return Metrics(watched, utc_now, monotonic, is_public=settings.metrics_public)
+
+
+def _central_app(log: Log, settings: Settings, grants: Grantor | None, door: _Door, precedence: Precedence) -> FastAPI:
+    return create_app(
+        log,
+        grants,
+        access=door.access,
+        answers=answering_for(log, settings, door.access),
+        note=door.refusals.note,
+        while_storing=precedence.urgent,
+        metrics=_metrics(log, settings, door),
+    )
 
 
 def _parts(

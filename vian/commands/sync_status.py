@@ -1,8 +1,8 @@
 """`vian sync status`: where a station stands with central, or all stations with this central server."""
 
-import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from threading import Event as Pause
 from typing import Annotated, Any
 
 import typer
@@ -109,7 +109,7 @@ def _print(shown: _Shown, output: Output) -> None:
 
 def _watch(look: Callable[[], _Shown], output: Output) -> None:
     """Show it again and again; Ctrl-C ends it well."""
-    pause = threading.Event()
+    pause = Pause()
     try:
         if output.is_json:
             while True:

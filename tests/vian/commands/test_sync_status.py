@@ -164,10 +164,11 @@ def test_a_daemon_that_says_nothing_for_long_is_silent(station: Log, run: Run) -
 
 
 def test_a_watch_ends_with_ctrl_c(station: Log, run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    def interrupted(*_: object) -> None:
-        raise KeyboardInterrupt
+    class Interrupted:
+        def wait(self, seconds: float) -> None:
+            raise KeyboardInterrupt
 
-    monkeypatch.setattr("threading.Event.wait", interrupted)
+    monkeypatch.setattr("vian.commands.sync_status.Pause", Interrupted)
     ran = at_station(run, station, "status", "--watch")
     assert ran.code == 0
     assert "station brno" in ran.out
