@@ -147,12 +147,14 @@ class Plan(BaseModel):
         setting a plan again changes nothing. A plan that does not say whether it is paused stays as it is.
 
         Raises:
-            PlanError: A `from` lies ahead of the station's clock.
+            PlanError: A `from` lies ahead of the station's clock, and the present plan does not have that entry.
         """
         known = {} if present is None else {words_of(entry): entry.now for entry in present.entries}
         entries = tuple(resolved(entry, now, known.get(words_of(entry))) for entry in self.entries)
+        # What the log has already was set by a clock that may have stood later, or stands wrong now.
+        known_entries = () if present is None else present.entries
         for number, entry in enumerate(entries):
-            if (since := entry.since) is not None and since > now:
+            if (since := entry.since) is not None and since > now and entry not in known_entries:
                 raise PlanError(
                     f"entries[{number}] ({entry.stream}): from {time_text(since)} lies ahead of this station's clock, "
                     f"which says {time_text(now)}. Next: write from: now, or correct the time or the clock"

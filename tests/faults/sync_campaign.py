@@ -47,7 +47,7 @@ from tests.faults.sync_load import (
 )
 from tests.store.disks import fill, small_disk
 from tests.store.samples import owner
-from tests.store.servers import end_servers, kill_server, postmaster
+from tests.store.servers import end_servers, postmaster
 from tests.sync.proxy import CALM, CUTS, OF_EXCHANGES, Proxy, Weather
 
 StreamKey = tuple[StreamName, int]
@@ -250,8 +250,8 @@ class Campaign:
         self._listen(self._choose.uniform(0.1, 0.5))
         self._check_new()  # what was there before is counted
         self._server.close()
-        kill_server(self._central_dir)
         self._central.close()
+        end_servers(self._central_dir)
         self._backups += 1
         self._central_dir = self._folder / f"central-{self._backups + 1}"
         self._make_log(self._central_dir)
@@ -269,9 +269,8 @@ class Campaign:
         self._hear()
         self._end_daemon(self._daemons.pop(0))
         epoch = self._station.epoch
-        persistently(self._station, self._station.head)
-        kill_server(self._station_dir)
         self._station.close()
+        end_servers(self._station_dir)
         self._remember(epoch)
         self._station_dir = self._folder / f"station-{epoch + 1}"
         self._make_log(self._station_dir)
@@ -599,8 +598,11 @@ def main() -> int:
 
 
 def _free_port() -> int:
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        return int(free.getsockname()[1])
+    """A port below those from which connections go out: while central is down, nobody must come to bear its number."""
+    for port in random.sample(range(15_000, 30_000), 100):
+        with contextlib.suppress(OSError), socket.create_server(("127.0.0.1", port)):
+            return port
+    raise AssertionError("no port is free")
 
 
 def _content(log: Log, key: StreamKey) -> list[tuple[Any, ...]]:

@@ -24,7 +24,7 @@ from store import Appender, Log, LogUnavailable, Signer, StationKey, StoreError
 from sync import Daemon, Limits, Pace, Plan, Step, router
 from sync.access import Access
 from sync.client import Central
-from sync.deriving import Deriver
+from sync.deriving import Deriver, DerivingChore
 from sync.enrolment import new_secret
 from sync.planning import planned_in
 from sync.signing import RequestSigner
@@ -95,7 +95,7 @@ def sync_until_killed(data_dir: Path, port: int, seed: int, say: Connection) -> 
                 now=lambda: clock(data_dir / "clock"),
                 random=random.Random(seed).random,
                 pace=PACE,
-                chores=(Signing(log), Deriver(log, STATION)),
+                chores=(Signing(log), DerivingChore(Deriver(log, STATION))),
                 central_key=CENTRAL_KEY.public,
             )
 

@@ -10,7 +10,7 @@ from events import Producer, SyncPlanned, batch_of, encode
 from store import Log
 from sync import Plan, PlanError
 from sync.planning import plan_stream, planned_in, set_plan
-from tests.sync.conftest import BRNO, NOON, PRODUCER
+from tests.sync.conftest import BRNO, NOON, PRODUCER, MakeDaemon
 
 NOW = {"entries": [{"stream": "*/*/*", "from": "now"}]}
 
@@ -55,6 +55,19 @@ def test_now_stays_however_the_entry_is_spelled(station_log: Log) -> None:
     for day in range(2):
         planned = put(station_log, Plan.of({"entries": [entry]}), NOON + timedelta(days=day))
     assert (planned.sequence, planned.plan.entries[0].since) == (1, NOON)
+
+
+def test_a_plan_that_the_log_has_counts_though_the_clock_was_set_back_since(
+    station_log: Log, make_daemon: MakeDaemon
+) -> None:
+    entry = {"stream": "*/*/*", "from": (NOON + HOUR).isoformat()}
+    planned = put(station_log, Plan.of({"entries": [entry]}), NOON + 2 * HOUR)
+
+    assert put(station_log, Plan.of({"entries": [entry]})).sequence == planned.sequence
+    make_daemon(plan=planned.plan, now=lambda: NOON).catch_up()
+    now = planned_in(station_log, BRNO)
+    assert now is not None
+    assert now.plan == planned.plan
 
 
 def test_what_lies_ahead_of_the_clock_is_refused(station_log: Log) -> None:

@@ -3,7 +3,7 @@ import pytest
 from store import Log
 from sync import Status, StreamStatus, WireError
 from sync.reports import CHECKPOINT, saved_status
-from tests.sync.conftest import BRNO, NOON, stream_of
+from tests.sync.conftest import BRNO, NOON, Faults, MakeDaemon, append_points, stream_of
 
 STREAMS = (
     StreamStatus(stream_of(), 1, 30, 9, 4, 5, None, NOON, 31.5),

@@ -8,7 +8,7 @@ import typer
 
 from sync.daemon import Daemon
 from vian import options
-from vian.commands import sync_doctor, sync_plan, sync_status
+from vian.commands import sync_doctor, sync_plan, sync_repair, sync_status
 from vian.errors import WrongUsage
 from vian.options import opened, settings_for
 from vian.output import Output
@@ -20,6 +20,7 @@ app = typer.Typer(help="Replicate this station's chosen streams to central, and 
 app.add_typer(sync_plan.app, name="plan")
 sync_status.register(app)
 sync_doctor.register(app)
+app.command(epilog="Example: vian sync repair")(sync_repair.repair)
 
 
 @app.callback(
