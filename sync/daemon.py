@@ -167,10 +167,11 @@ class Daemon:
         contact, before = self._contact, self._before
         offset = before.clock_offset_s if before and contact.clock_offset_s is None else contact.clock_offset_s
         said = {StreamKey(each.stream, each.epoch): each for each in (before.streams if before else ())}
+        keys = self._standing.keys()
         return Status(
             self._station,
             self._central.address,
-            tuple(self._stream_status(key, said.get(key)) for key in self._standing.keys()),
+            tuple(self._stream_status(key, said.get(key)) for key in keys),
             contact.last or (before.last_contact if before else None),
             offset,
             contact.failures,
