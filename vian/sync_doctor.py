@@ -30,6 +30,7 @@ from vian.membership import Membership, load_membership
 from vian.replication import Peer, load_plan, peer_of
 from vian.settings import Settings
 from vian.signatures import key_path
+from vian.spans import span
 from vian.sync_view import StationView, station_view
 from vian.tls import certificate_pin, station_context
 
@@ -96,7 +97,9 @@ def _fit(plan: Plan, streams: Sequence[StreamName]) -> Finding:
 
 def _policy(plan: Plan) -> Finding:
     if plan.give_up:
-        said = ", ".join(f"{entry.stream} older than {entry.older_than}" for entry in plan.give_up)
+        said = ", ".join(
+            f"{entry.stream} older than {span(entry.older_than.total_seconds())}" for entry in plan.give_up
+        )
         return Finding("full disk", Verdict.OK, f"first goes what central holds, then {said}")
     return Finding("full disk", Verdict.NOTE, "recording stops then: the plan names nothing under give_up")
 

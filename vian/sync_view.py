@@ -12,11 +12,14 @@ from datetime import datetime
 from events import CheckpointCountersigned, CheckpointSigned, Station, StreamName
 from store import Log, StreamHead, health
 from store.sizes import Part, Size, sizes
+from sync.deriving import CHECKPOINT as DERIVED
+from sync.entries import base_of, derived_name
 from sync.plan import Plan
 from sync.planning import planned_in
 from sync.preview import record_bytes
 from sync.reports import Status, StreamStatus, saved_status
 from vian.log_checks import GROWTH_LEAST, GROWTH_WINDOW
+from vian.output import counted
 
 SILENT_S = 1200.0
 """A daemon says something at least every 15 minutes, when it says hello; one that did not for so long is not there."""
@@ -135,7 +138,7 @@ def station_view(log: Log, station: Station, now: datetime, default: Plan) -> St
         countersigned=_newest_sequence(own, CheckpointCountersigned.type_name),
         signed=_newest_sequence(own, CheckpointSigned.type_name) or 0,
         days_left=days_left(log),
-        notes=status.notes if status else (),
+        notes=(*(status.notes if status else ()), *_unmade(log, own, plan)),
         streams=tuple(_streams(log, own, plan, status, now)),
     )
 
@@ -175,6 +178,18 @@ def _streams(
     views.sort(key=lambda view: (view.priority, view.stream, view.epoch))
     rates = [rate for rate in (status.rate_bps if status else None, plan.rate_bps) if rate]
     return _with_times(views, min(rates) if status and status.rate_bps else None)
+
+
+def _unmade(log: Log, heads: Sequence[StreamHead], plan: Plan) -> list[str]:
+    """What cannot be counted yet, because it is filtered first."""
+    made = log.checkpoints()
+    streams = {head.stream for head in heads if base_of(head.stream) is None}
+    entries = [(stream, entry) for stream in streams if (entry := plan.chosen(stream)) and entry.sends]
+    count = sum(e.is_derived and f"{DERIVED}{derived_name(stream, e)}" not in made for stream, e in entries)
+    if not count:
+        return []
+    noun = counted(count, "stream")
+    return [f"of {noun} the plan sends what a filter leaves, which is made once central answers and counts then"]
 
 
 def _waiting(head: StreamHead, said: StreamStatus | None, since: datetime | None) -> list[Part]:

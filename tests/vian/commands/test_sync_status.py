@@ -21,9 +21,9 @@ from tests.vian.test_enrolled_station import CENTRAL_DIR, STATION_DIR, enrol, se
 from vian.admission import access_for, refusals_for
 from vian.api import bind, serving
 from vian.clock import utc_now
-from vian.commands.sync_status import size_text, span
 from vian.membership import load_membership, save_membership
 from vian.settings import Settings, load_settings
+from vian.spans import size_text, span
 from vian.tls import own_certificate
 
 BRNO = station_name("brno")
@@ -253,6 +253,12 @@ def test_doctor_names_a_log_that_is_not_the_one_that_central_knows(
     ran = at_station(run, other, "doctor", "--json")
     assert verdicts(ran)["epoch"] == "bad"
     assert "this log was replaced or restored" in ran.out
+
+
+def test_what_is_not_filtered_yet_is_said(station: Log, run: Run) -> None:
+    Path("plan.yaml").write_text("entries: [{stream: '*/*/track_point', where: 'frame >= 15'}]\n")
+    assert run("sync", "plan", "set", "plan.yaml", "--dsn", station.dsn, "--station", "brno").code == 0
+    assert "note: of 1 stream the plan sends what a filter leaves" in at_station(run, station, "status").out
 
 
 def test_doctor_names_a_plan_that_fits_nothing(station: Log, run: Run) -> None:
