@@ -24,6 +24,7 @@ from benchmarks.sync_reference import LogicalReplication, Replicated, logical_re
 from benchmarks.sync_servers import STATION, Cost, Program, central_server, enrol, station_daemon
 from events import Draft, EventBatch, Segment, StreamName, encode
 from store import Log, open_log
+from store.projector import NAME as PROJECTOR
 
 SEGMENT_EVENTS = 1000
 _LOOK_SECONDS = 0.005
@@ -41,6 +42,8 @@ class Round:
 
     events: int
     seconds: float
+    rows_s: float
+    """until central had written rows of it, too, which it does when it has stored what comes"""
     station: Cost
     central: Cost
     traffic: Traffic
@@ -79,11 +82,15 @@ class Bench:
         first = self._central.head() + 1
         seconds = self._drain(drafts)
         after, traffic = (self._daemon.cost(), self._server.cost()), self._link.traffic().since(crossed)
+        began = time.perf_counter()
+        wait_until(lambda: self._central.checkpoint(PROJECTOR).position >= self._central.head())
+        rows_s = seconds + time.perf_counter() - began
         taken = list(self._central.read_all(first, types=["track_point"]))
         groups = [list(group) for _, group in groupby(taken, key=lambda each: each.recorded_at)]
         return Round(
             segments * SEGMENT_EVENTS,
             seconds,
+            rows_s,
             after[0].since(before[0]),
             after[1].since(before[1]),
             traffic,
@@ -122,6 +129,8 @@ def drained(folder: Path, rounds: int, segments: int) -> Iterator[Row | Figure]:
 
     yield beside(_REPLICATION, lambda each: each.replication.seconds, 4.0)
     yield beside(f"{_REPLICATION}, durable at its end", lambda each: each.lazy_replication.seconds, None)
+    with_rows = [(each.events / each.rows_s, each.events / each.replication.seconds) for each in found]
+    yield _row("the same, and rows of it at central", "events/s", with_rows, _REPLICATION, None)
     yield beside("the log's own append, same groups", lambda each: each.grouped_s, 0.5)
     yield beside("the log's own append, one by one", lambda each: each.single_s, None)
     for what, cpu_s in _COSTS.items():

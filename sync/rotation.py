@@ -16,17 +16,16 @@ CONNECTIONS = 3
 """Two that carry a backlog, and one that is free for what is live."""
 
 
-def take_turns(client: httpx.Client, verify: ssl.SSLContext | None = None) -> None:
+def take_turns(client: httpx.Client, verify: ssl.SSLContext) -> None:
     """Let the client's direct connections take turns; those through a proxy stay as they are.
 
     Args:
         client: Has not been used yet.
-        verify: What its servers' certificates are checked with; the usual authorities by default.
+        verify: What its servers' certificates are checked with.
     """
-    context = verify or httpx.create_ssl_context()
     client._transport.close()
     # httpx asks the environment for proxies only where it makes the direct transport itself.
-    client._transport = Rotation(lambda: httpx.HTTPTransport(verify=context))
+    client._transport = Rotation(lambda: httpx.HTTPTransport(verify=verify))
 
 
 class Rotation(httpx.BaseTransport):

@@ -6,14 +6,16 @@ from datetime import datetime, timedelta
 
 import structlog
 
-from events import EventError, station_name
+from events import CheckpointCountersigned, EventError, station_name
 from store import Log, LogUnavailable, StoreError
+from sync.countersigning import is_countersigned
 from sync.errors import PlanError
 from sync.losses import DiskWatch
 from sync.plan import GiveUp
 from sync.planning import planned_in
 from sync.pruning import IsSigned, Proof, Pruner
 from vian.clock import utc_now
+from vian.membership import load_membership
 from vian.parts import Part, stepping
 from vian.replication import load_plan
 from vian.settings import Settings
@@ -26,7 +28,15 @@ _REST_SECONDS = 60.0
 
 def signed_by_central(settings: Settings) -> IsSigned:
     """Whether a countersigned checkpoint is signed by the central that took this station in; none is before it did."""
-    return lambda event: False
+    membership = load_membership(settings)
+    if membership is None:
+        return lambda event: False
+    key = membership.central_key
+
+    def is_signed(event: CheckpointCountersigned) -> bool:
+        return is_countersigned(event, key)
+
+    return is_signed
 
 
 def pruner_for(log: Log, settings: Settings, days: float) -> Pruner:

@@ -160,7 +160,7 @@ def station_daemon(
         base_url=peer.address, timeout=REQUEST_SECONDS_MAX, verify=context, transport=transport
     ) as client:
         if transport is None:
-            take_turns(client)
+            take_turns(client, context)
         bounds = bounded(client)
         deriver = Deriver(log, station_name(station))
         try:

@@ -24,7 +24,7 @@ def client(serve: Serve) -> Iterator[httpx.Client]:
         return request.client.port
 
     with httpx.Client(base_url=serve(app)) as made:
-        take_turns(made)
+        take_turns(made, httpx.create_ssl_context())
         yield made
 
 

@@ -40,21 +40,22 @@ READERS = [
     ["backup", "elsewhere"],
     ["project"],
     ["psql"],
-    ["sync", "--once", "--central", "http://x", "--token-file", "token"],
+    ["sync", "--once", "--central", "https://x", "--token-file", "token"],
 ]
 
 
 def test_the_commands_are_those_that_there_should_be() -> None:
     assert {" ".join(path) for path in ALL} == {
         "archive", "archive project", "archive relocate", "archive status", "backup", "demo", "doctor", "events",
-        "evidence export", "evidence verify", "extract motion", "find plate", "find situation", "init", "project",
-        "project maintain", "project rebuild", "project status", "prune", "psql", "query", "restore",
-        "rules backtest", "rules check", "rules deploy", "rules expand", "rules explain", "rules flink", "rules lint",
-        "rules new", "rules profile", "rules retire", "rules run", "rules status", "rules test", "rules why-not",
-        "serve", "shell", "sign", "stages check", "stages run", "station add", "station enrol", "station invite",
+        "evidence export", "evidence verify", "extract motion", "find plate", "find situation",
+        "init", "project", "project maintain",
+        "project rebuild", "project status", "prune", "psql", "query", "restore", "rules backtest",
+        "rules check", "rules deploy", "rules expand", "rules explain", "rules flink", "rules lint", "rules new",
+        "rules profile", "rules retire", "rules run", "rules status", "rules test", "rules why-not", "serve", "shell",
+        "sign", "stages check", "stages run", "station add", "station enrol", "station invite",
         "station leave", "station list", "station revoke", "streams", "sync", "sync plan pause", "sync plan preview",
-        "sync plan resume", "sync plan set", "sync plan show", "tail", "upgrade", "verify", "zones calibrate",
-        "zones define", "zones draw", "zones import", "zones list", "zones remove",
+        "sync plan resume", "sync plan set", "sync plan show", "sync repair", "tail", "upgrade", "verify",
+        "zones calibrate", "zones define", "zones draw", "zones import", "zones list", "zones remove",
     }  # fmt: skip
 
 

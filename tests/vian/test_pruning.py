@@ -1,20 +1,24 @@
 """What keeps the disk in `vian serve` and `vian sync`, from the settings and the plan that counts."""
 
+import json
 from collections.abc import Callable
 from datetime import timedelta
 from pathlib import Path
 
 import pytest
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
-from events import EventError, LossRecorded, station_name
-from store import Log, LogUnavailable, StoreError
+from events import CheckpointCountersigned, EventError, LossRecorded, station_name
+from store import Log, LogUnavailable, StationKey, StoreError
 from store.room import Room
+from sync.countersigning import countersigned_bytes
 from sync.plan import Plan
 from sync.planning import set_plan
 from tests.store.samples import GATE, NOON, append
 from vian.clock import utc_now
+from vian.membership import Membership, save_membership
 from vian.options import open_from
-from vian.pruning import DiskKeeper, disk_watch_for
+from vian.pruning import DiskKeeper, disk_watch_for, signed_by_central
 from vian.settings import Settings
 
 MIB = 2**20
@@ -98,3 +102,32 @@ def test_a_database_that_is_away_is_waited_for(keep: Keep) -> None:
 def test_what_must_stay_free_comes_from_the_settings(log: Log) -> None:
     with open_from(Settings(dsn=log.dsn, disk_free_mb_min=77)) as opened:
         assert opened.room.bytes_min == 77 * MIB
+
+
+def test_central_is_believed_by_the_key_that_the_station_was_enrolled_under(tmp_path: Path) -> None:
+    own, other = (StationKey(Ed25519PrivateKey.generate()) for _ in range(2))
+    settings = Settings(data_dir=tmp_path, station="brno")
+
+    def countersigned(key: StationKey) -> CheckpointCountersigned:
+        signed = countersigned_bytes("brno", 1, bytes(32), [], NOON, key.public)
+        return CheckpointCountersigned(
+            time=NOON,
+            of_station="brno",
+            checkpoint_sequence=1,
+            statement_hash="00" * 32,
+            held="[]",
+            key_id=key.id,
+            algorithm="ed25519",
+            signature=key.sign(signed),
+        )
+
+    assert not signed_by_central(settings)(countersigned(own))
+    save_membership(
+        settings,
+        Membership(address="https://c.example", station="brno", central="central", public_key=own.public.hex()),
+    )
+    believed = signed_by_central(settings)
+    assert [believed(countersigned(key)) for key in (own, other)] == [True, False]
+    held = json.dumps([["brno", 1, "gate", "track_point", 9, "ab" * 32]])
+    forged = countersigned(own).model_copy(update={"held": held})
+    assert not believed(forged)

@@ -1,0 +1,64 @@
+"""`vian sync repair`: bring back damaged or pruned segments from central; at central, ask the stations for them."""
+
+from collections.abc import Iterator
+from typing import Annotated
+
+import typer
+
+from events import StreamName
+from store import Log
+from sync.repair import Repaired
+from vian import options
+from vian.errors import WorldFailed, WrongUsage
+from vian.options import opened, settings_for
+from vian.output import Output
+from vian.repairing import SEQUENCE_MAX, bring_back, repair_damages
+from vian.settings import Settings
+
+
+def repair(
+    stream: Annotated[
+        str | None,
+        typer.Option("--stream", help="Bring back payloads of this stream that left the disk: station/source/type."),
+    ] = None,
+    first: Annotated[int | None, typer.Option("--from", min=1, help="With --stream: first sequence.")] = None,
+    last: Annotated[int | None, typer.Option("--to", min=1, help="With --stream: last sequence.")] = None,
+    epoch: Annotated[
+        int | None, typer.Option("--epoch", min=0, help="With --stream: which life of it.", show_default="its newest")
+    ] = None,
+    data_dir: options.DataDir = None,
+    dsn: options.Dsn = None,
+    station: options.Station = None,
+    as_json: options.Json = False,
+) -> None:
+    """Put back what is damaged, from central; at central, ask the stations. Only bytes that the hashes demand."""
+    if stream is None and not first == last == epoch is None:
+        raise WrongUsage("--from, --to and --epoch are of a stream. Next: give --stream STATION/SOURCE/TYPE too")
+    settings = settings_for(data_dir, dsn, station=station)
+    output = Output(is_json=as_json)
+    with opened(settings, data_dir=data_dir) as log:
+        attempts = _repaired(log, settings, stream, epoch, first or 1, last or SEQUENCE_MAX)
+        # Where the payload alone could not be put back, the whole segment was tried: that is what counts.
+        done = list({each.damage.position: each for each in attempts}.values())
+    output.table(
+        "",
+        ("stream", "epoch", "from", "position", "segments", "was", "failure"),
+        [
+            (str(d.stream), d.epoch, d.first_sequence, d.position, each.segments, d.reason, each.failure)
+            for each in done
+            for d in (each.damage,)
+        ],
+    )
+    repaired = sum(each.segments for each in done)
+    output.note(f"{repaired} segments were put back" if done else "nothing is damaged or gone there")
+    if failed := sum(each.failure is not None for each in done):
+        raise WorldFailed(f"{failed} were not put back. Next: vian verify --full names what is still damaged")
+
+
+def _repaired(
+    log: Log, settings: Settings, stream: str | None, epoch: int | None, first: int, last: int
+) -> Iterator[Repaired]:
+    if stream is None:
+        yield from repair_damages(log, settings)
+    else:
+        yield from bring_back(log, settings, StreamName.parse(stream), epoch, first, last)

@@ -1,0 +1,81 @@
+"""Repair at the command line: the link to central, and what is asked of whom."""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+
+import httpx
+
+from events import StreamName, station_name
+from store import Log, verify
+from store.keys import load_key
+from sync.client import Central, Greeting
+from sync.repair import Damage, Repaired, Repairer, Wanted, damaged_headers, damaged_payloads, hollow_payloads
+from vian.clock import utc_now
+from vian.errors import WorldFailed
+from vian.membership import load_membership
+from vian.replication import REQUEST_SECONDS_MAX
+from vian.settings import Settings
+from vian.signatures import key_path
+from vian.tls import station_context
+
+SEQUENCE_MAX = 2**63 - 1
+
+
+@contextmanager
+def central_link(log: Log, settings: Settings) -> Iterator[Central]:
+    """Central, as this enrolled station speaks with it in a session of its own.
+
+    Raises:
+        WorldFailed: The station is not enrolled.
+        SyncError: Central cannot be reached, or refuses.
+    """
+    membership = load_membership(settings)
+    if membership is None:
+        raise WorldFailed("this station is enrolled at no central. Next: vian station enrol CODE --central URL")
+    context = station_context(membership.certificate)
+    with httpx.Client(base_url=membership.address, timeout=REQUEST_SECONDS_MAX, verify=context) as client:
+        link = Central(client, membership.signer(load_key(key_path(settings))))
+        link.hello(Greeting(station_name(settings.station), log.epoch, utc_now(), (), None, None))
+        yield link
+
+
+def repair_damages(log: Log, settings: Settings) -> Iterator[Repaired]:
+    """Repair this log's own streams from central; what is damaged of others is asked of the stations.
+
+    Raises:
+        WorldFailed: Something of the station's own is damaged, and it is not enrolled.
+        SyncError: Central cannot be reached, or refuses.
+    """
+    own = station_name(settings.station)
+    damaged = [*damaged_payloads(log), *damaged_headers(log, verify(log).broken)]
+    if foreign := _first_each(each for each in damaged if each.stream.station != own):
+        Wanted(log).ask(foreign)
+    if any(each.stream.station == own for each in damaged):
+        with central_link(log, settings) as link:
+            repairer = Repairer(log, own, link.read, "central", utc_now)
+            yield from repairer.repair_all(only=own)
+    for damage in foreign:
+        yield Repaired(damage, 0, f"station {damage.stream.station} is asked for it at its next hello")
+
+
+def bring_back(
+    log: Log, settings: Settings, stream: StreamName, epoch: int | None, first: int, last: int
+) -> Iterator[Repaired]:
+    """Bring back from central the payloads of a stream that left the disk.
+
+    Raises:
+        WorldFailed: The station is not enrolled.
+        SyncError: Central cannot be reached, or refuses.
+    """
+    gone = list(hollow_payloads(log, stream, first, last, epoch))
+    if not gone:
+        return
+    with central_link(log, settings) as link:
+        repairer = Repairer(log, station_name(settings.station), link.read, "central", utc_now)
+        for damage in gone:
+            yield repairer.repair(damage)
+
+
+def _first_each(damages: Iterator[Damage]) -> Sequence[Damage]:
+    """The damages, one a position."""
+    return list({each.position: each for each in reversed(list(damages))}.values())[::-1]
