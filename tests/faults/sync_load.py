@@ -45,7 +45,7 @@ APPEND_EVERY_S = 0.05
 """Pause between two appends: the load must leave room for what is tried."""
 ANSWER_S_MAX = 0.7
 """Longest wait of the daemon for an answer."""
-PACE = Pace(20_000, 3000, in_flight=2, backoff_s=0.005, backoff_s_max=0.2, idle_s=1.0)
+PACE = Pace(20_000, 3000, in_flight=2, backoff_s=0.005, backoff_s_max=0.04, idle_s=1.0)
 """Small requests and short pauses, so that there are many requests to hit."""
 
 _LOOK_EVERY_S = 0.05
