@@ -13,14 +13,14 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from events import Station, station_name
 from store import Log, StationKey
-from sync.access import Access, Caller
-from sync.enrolment import Attempts, Code, Enrol, code_text, new_secret, parse_code
+from sync.central.access import Access, Caller
+from sync.central.refusals import KINDS_MAX, Kind, Refusals
+from sync.central.registry import Registered
+from sync.central.sessions import WINDOW
 from sync.errors import GrantError, Refusal
-from sync.refusals import KINDS_MAX, Kind, Refusals
-from sync.registry import Registered
-from sync.sessions import WINDOW
-from sync.signing import RequestSigner
-from sync.wire import PATH
+from sync.protocol.enrolment import Attempts, Code, Enrol, code_text, new_secret, parse_code
+from sync.protocol.signing import RequestSigner
+from sync.protocol.wire import PATH
 from tests.sync.conftest import NOON
 
 BRNO, OSLO, CENTRAL = (station_name(name) for name in ("brno-2", "oslo-1", "central"))

@@ -7,8 +7,8 @@ import pytest
 from events import CheckpointCountersigned, CheckpointSigned, StreamName, batch_of, decode, encode, events_of
 from store import Log, Signer
 from sync import BadAnswer, Daemon, Plan, Refusal
-from sync.countersigning import countersign, heads_in, is_countersigned
-from sync.wire import CountersignRequest
+from sync.keeping.countersigning import countersign, heads_in, is_countersigned
+from sync.protocol.wire import CountersignRequest
 from tests.sync.conftest import (
     BRNO,
     CENTRAL_KEY,

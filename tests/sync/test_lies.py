@@ -8,9 +8,9 @@ import pytest
 
 from events import GENESIS, Header, Position, Segment, Sequence, Station, chain
 from store import Log, verify
-from sync.apply import apply_2
+from sync.central.apply import apply_2
 from sync.errors import Refusal
-from sync.wire import Record, encode_records
+from sync.protocol.wire import Record, encode_records
 from tests.store.tiered import seal_all
 from tests.sync.conftest import BRNO, NOON, PRODUCER, append_points, stream_of
 

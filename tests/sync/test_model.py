@@ -23,7 +23,7 @@ from hypothesis.stateful import (
 from events import Catalogue, Place
 from store import Log, verify
 from sync import Daemon, Pace, Plan, SessionOver
-from sync.planning import set_plan
+from sync.plans.planning import set_plan
 from tests.conftest import Server
 from tests.sync.conftest import (
     BRNO,
