@@ -3,14 +3,14 @@
 Contract: looks, and changes nothing. Whether a fact is good or bad is for the caller to say.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 
 import psycopg
 from alembic.script import ScriptDirectory
 
-from events import Catalogue
+from events import Catalogue, StreamName
 from store.errors import ArchiveUnavailable, BadRequest, LogUnavailable
 from store.log import Log
 from store.projector import BEHIND
@@ -133,6 +133,18 @@ def recorded_at(log: Log, position: int) -> datetime | None:
         return recorded
     found = log.archive.page(position, sealed, Filter(with_hollow=True), 1)
     return found[0].recorded_at if found else recorded
+
+
+def newest_recorded(log: Log, stations: Sequence[str]) -> dict[tuple[StreamName, int], datetime]:
+    """When the newest segment of each stream of these stations was recorded here, but for those that are sealed."""
+    with log.connection() as connection:
+        rows = connection.execute(
+            "select s.station, s.source, s.type, s.epoch, (select g.recorded_at from segments g "
+            "where g.stream_id = s.id order by g.first_sequence desc limit 1) as newest "
+            "from streams s where s.station = any(%s)",
+            (list(stations),),
+        ).fetchall()
+    return {(StreamName.of(*names), epoch): newest for *names, epoch, newest in rows if newest is not None}
 
 
 def rows_behind(log: Log) -> Mapping[str, int]:

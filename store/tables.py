@@ -312,6 +312,20 @@ sync_tokens = sa.Table(
     prefixes=["UNLOGGED"],
 )
 
+station_contacts = sa.Table(
+    "station_contacts",
+    metadata,
+    sa.Column("station", sa.Text, primary_key=True, comment="the station"),
+    sa.Column("last_contact_at", TIMESTAMP, nullable=False, comment="when it was last heard of (UTC)"),
+    sa.Column("hello_at", TIMESTAMP, nullable=False, comment="when its newest hello came (UTC)"),
+    sa.Column("program", sa.Text, nullable=False, comment="its program, as it said"),
+    sa.Column("protocol", sa.Integer, nullable=False, comment="version of the protocol in which it said so"),
+    sa.Column("epoch", sa.Integer, nullable=False, comment="life of its log, as it said"),
+    sa.Column("clock_offset_s", sa.Double, nullable=False, comment="how far central's clock was ahead of its own, s"),
+    sa.Column("heads", pg.JSONB, nullable=False, comment="of each stream that it sends: name, epoch, sequence"),
+    comment="What central heard last of each station. For people to look at: nothing is decided by it.",
+)
+
 
 _SQL_TYPES: dict[pa.DataType, Any] = {
     pa.bool_(): sa.Boolean(),

@@ -23,6 +23,7 @@ from sync.access import REPLICATE, Access, Asked, Caller
 from sync.apply import answer_hello_2, apply_2
 from sync.apply_v1 import answer_hello, apply, cursor_of
 from sync.bodies import BodyLimits, check_declared, read_body, read_signed
+from sync.contacts import Contacts
 from sync.countersigning import countersign
 from sync.enrolment import ENROL_BYTES_MAX, Attempts, Enrolled, parse_message
 from sync.errors import Refusal
@@ -44,13 +45,17 @@ from sync.wire import (
     Challenge,
     ChallengeRequest,
     Countersigned,
+    Hello,
     Range,
     RepairAnswer,
+    parse,
 )
 from sync.wire import HelloAnswer as HelloAnswer2
 from sync.wire import SegmentsAnswer as SegmentsAnswer2
 from sync.wire_v1 import PATH as PATH_1
-from sync.wire_v1 import HelloAnswer, SegmentsAnswer
+from sync.wire_v1 import PROTOCOL as PROTOCOL_1
+from sync.wire_v1 import Hello as Hello1
+from sync.wire_v1 import HelloAnswer, SegmentsAnswer, parse_versioned
 
 Storing = Callable[[], AbstractContextManager[None]]
 """Makes what is entered while segments are stored."""
@@ -120,10 +125,11 @@ def router(
     """
     most = limits or Limits()
     api = APIRouter()
+    contacts = Contacts(log, monotonic)
     if grants is not None:
-        api.include_router(_version_1(log, grants, most, now, note, while_storing))
+        api.include_router(_version_1(log, grants, most, now, note, while_storing, contacts))
     if access is not None:
-        api.include_router(_version_2(log, Door(access, most), most, now, note, answers, while_storing))
+        api.include_router(_version_2(log, Door(access, most), most, now, note, answers, while_storing, contacts))
         api.include_router(_repairs(log, Door(access, most), most, now, note))
     return api
 
@@ -187,6 +193,7 @@ def _version_2(
     note: Note,
     answers: Answers | None,
     while_storing: Storing,
+    contacts: Contacts,
 ) -> APIRouter:
     api = APIRouter(prefix=PATH, tags=["sync"], route_class=problem_route(note, cursors_2), responses=RESPONSES)
     attempts = Attempts(monotonic)
@@ -219,7 +226,7 @@ def _version_2(
     def hello(call: Annotated[Call, Depends(door.hello())]) -> HelloAnswer2:
         token = call.asked.token
         assert token is not None, "a hello begins a session"
-        return answer_hello_2(
+        answer = answer_hello_2(
             log,
             call.caller,
             call.body,
@@ -229,6 +236,8 @@ def _version_2(
             token=token.text,
             token_expires_s=token.expires_s,
         )
+        contacts.greeted(parse(Hello, call.body), answer.protocol, answer.time)
+        return answer
 
     @api.post("/segments", summary="A station sends segments; 200 means that they are durable")
     def segments(
@@ -237,7 +246,7 @@ def _version_2(
         follows: Annotated[str, Header(alias=FOLLOWS_HEADER, max_length=NAME_LENGTH_MAX)] = "",
     ) -> SegmentsAnswer2:
         with turns.named(call.caller.station, order), while_storing():
-            return apply_2(
+            answer = apply_2(
                 log,
                 call.caller,
                 call.body,
@@ -246,6 +255,8 @@ def _version_2(
                 still_allowed=lambda transaction: door.access.check_again(transaction, call.caller),
                 in_turn=lambda: turns.wait_for(call.caller.station, follows),
             )
+        contacts.heard(call.caller.station, now())
+        return answer
 
     @api.post("/countersign", summary="Central signs that it holds what a station's checkpoint says")
     def countersigned(
@@ -294,7 +305,13 @@ def _add_questions(api: APIRouter, door: Door, answers: Answers) -> None:
 
 
 def _version_1(
-    log: Log, grants: Grantor, most: Limits, now: Callable[[], datetime], note: Note, while_storing: Storing
+    log: Log,
+    grants: Grantor,
+    most: Limits,
+    now: Callable[[], datetime],
+    note: Note,
+    while_storing: Storing,
+    contacts: Contacts,
 ) -> APIRouter:
     api = APIRouter(prefix=PATH_1, tags=["sync"], route_class=problem_route(note, _cursors_1), responses=RESPONSES)
 
@@ -313,16 +330,20 @@ def _version_1(
     def hello(
         station: Annotated[Station, Depends(granted)], body: Annotated[bytes, Depends(hello_body)]
     ) -> HelloAnswer:
-        return answer_hello(
+        answer = answer_hello(
             log, station, body, body_bytes_max=most.body_bytes_max, segments_max=most.segments_max, now=now
         )
+        contacts.greeted(parse_versioned(Hello1, body), PROTOCOL_1, answer.time)
+        return answer
 
     @api.post("/segments", summary="A station sends segments; 200 means that they are durable")
     def segments(
         station: Annotated[Station, Depends(granted)], body: Annotated[bytes, Depends(segments_body)]
     ) -> SegmentsAnswer:
         with while_storing():
-            return apply(log, station, body, body_bytes_max=most.body_bytes_max, segments_max=most.segments_max)
+            answer = apply(log, station, body, body_bytes_max=most.body_bytes_max, segments_max=most.segments_max)
+        contacts.heard(station, now())
+        return answer
 
     return api
 

@@ -33,7 +33,7 @@ from sync.plan import Entry, Plan
 from sync.planning import plan_stream, planned_in, set_plan
 from sync.repair import records_for
 from sync.reporting import Reporter
-from sync.reports import Chore, Pace, State, Status, Step, StreamStatus
+from sync.reports import Chore, Pace, State, Status, Step, StreamStatus, saved_status
 from sync.runs import Runs, StreamKey, are_held, end_of
 from sync.scheduling import Share, Work, chosen, in_order
 from sync.standing import Standing
@@ -100,6 +100,8 @@ class Daemon:
         self._terms = _Terms()
         self._wanted: list[Range] = []
         """what central wants back, of the last hello"""
+        self._before: Status | None = None
+        """what a daemon before this one said last, which holds until central says more"""
         self._sent: dict[StreamKey, _Sent] = {}
         self._doubts: dict[StreamKey, str] = {}
         self._state: State = "starting"
@@ -162,35 +164,43 @@ class Daemon:
             LogUnavailable: The station's database is away.
         """
         self._look()
-        contact = self._contact
+        contact, before = self._contact, self._before
+        offset = before.clock_offset_s if before and contact.clock_offset_s is None else contact.clock_offset_s
+        said = {StreamKey(each.stream, each.epoch): each for each in (before.streams if before else ())}
+        keys = self._standing.keys()
         return Status(
             self._station,
             self._central.address,
-            tuple(map(self._stream_status, self._standing.keys())),
-            contact.last,
-            contact.clock_offset_s,
+            tuple(self._stream_status(key, said.get(key)) for key in keys),
+            contact.last or (before.last_contact if before else None),
+            offset,
             contact.failures,
             contact.last_error or self._stop_reason(),
             state=self._state,
             protocol=self._central.protocol,
-            rate_bps=self._meter.bps,
+            rate_bps=self._meter.bps or (before.rate_bps if before else None),
             countersigned=self._countersigning.sequence,
             notes=self._chores.notes,
         )
 
-    def _stream_status(self, key: StreamKey) -> StreamStatus:
+    def _stream_status(self, key: StreamKey, before: StreamStatus | None) -> StreamStatus:
         planned, held = self._standing.planned[key], self._standing.acknowledged
         stopped, sent = self._standing.stopped.get(key), self._sent.get(key)
+        backlog, cursor = self._standing.backlog(key), None
+        if held is not None:
+            cursor = end_of(held.get(key, ())).sequence
+        elif before is not None and before.backlog is not None:
+            cursor, backlog = before.cursor, before.backlog + max(0, planned.head.sequence - before.sequence)
         return StreamStatus(
             key.stream,
             key.epoch,
             planned.entry.priority,
             planned.head.sequence,
-            None if held is None else end_of(held.get(key, ())).sequence,
-            self._standing.backlog(key),
+            cursor,
+            backlog,
             None if stopped is None else str(stopped),
-            None if sent is None else sent.until,
-            None if sent is None else sent.size / sent.events,
+            sent.until if sent else (before.held_until if before else None),
+            sent.size / sent.events if sent else (before.bytes_per_event if before else None),
         )
 
     def _stop_reason(self) -> str | None:
@@ -231,6 +241,9 @@ class Daemon:
 
     def _set_plan(self) -> Step:
         """Have the log name the plan, unless it does, and follow what it names."""
+        before = saved_status(self._log)
+        if before is not None and (before.station, before.central) == (self._station, self._central.address):
+            self._before = before
         planned = planned_in(self._log, self._station)
         try:
             if planned is None or (planned.plan, planned.central) != (self._plan, self._central.address):

@@ -85,6 +85,8 @@ class Exchange:
                 f"central at {self.address} cannot be reached: {why_unreachable(error)}"
             ) from error
         if response.status_code == 200:
+            if response.headers.get("content-type", "").startswith("text/html"):
+                raise self.bad_answer(f"a web page: {_seen(response, data)}")
             return data
         raise self._error(response, data)
 

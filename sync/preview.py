@@ -178,7 +178,9 @@ class _Look:
         known = [self._held.get(place, _NOTHING) for place in places]
         parts = [Part(*place, since, held.ranges, held.since) for place, held in zip(places, known, strict=True)]
         found = sizes(self._log, parts)
-        return sum((_Sized(each, _bytes(place[0], each)) for place, each in zip(places, found, strict=True)), _Sized())
+        return sum(
+            (_Sized(each, record_bytes(place[0], each)) for place, each in zip(places, found, strict=True)), _Sized()
+        )
 
     def _derived(self, base: StreamName, chosen: Sequence[StreamHead], entry: Entry, problems: list[str]) -> "_Sized":
         """What a filter leaves of a stream: counted where it has been made already, else estimated."""
@@ -197,7 +199,7 @@ class _Look:
         )
         events = max(0, round(before * sample.share) - held)
         size = Size(-(-events // SEGMENT_EVENTS), events, round(events * sample.bytes_per_event), 0, is_exact=False)
-        return _Sized(size, _bytes(name, size))
+        return _Sized(size, record_bytes(name, size))
 
     def _is_made(self, base: StreamName, name: StreamName) -> bool:
         """Whether all that the base stream holds has been filtered already."""
@@ -240,7 +242,7 @@ class _Sized:
         return _Sized(self.size + other.size, self.bytes + other.bytes)
 
 
-def _bytes(stream: StreamName, size: Size) -> int:
+def record_bytes(stream: StreamName, size: Size) -> int:
     """Bytes of the records of segments of a stream."""
     header = len(header_bytes(Header(stream, 0, SequenceNumber(1), 1, 1, _TIME, _TIME, Producer("", "", bytes(32)))))
     return size.segments * (RECORD_BYTES + header) + size.payload_bytes + size.producer_bytes

@@ -10,8 +10,9 @@ from contextlib import contextmanager, nullcontext
 from typing import Any
 
 import uvicorn
-from fastapi import FastAPI
-from fastapi.responses import JSONResponse
+from fastapi import FastAPI, Request, Response
+from fastapi.responses import JSONResponse, PlainTextResponse
+from prometheus_client.exposition import CONTENT_TYPE_PLAIN_0_0_4
 
 from store import Log, LogUnavailable
 from sync.access import Access
@@ -19,6 +20,7 @@ from sync.central import Answers, Storing, router
 from sync.grants import Grantor
 from sync.problems import Note
 from vian.errors import WorldFailed
+from vian.metrics import Metrics
 from vian.tls import Certificate
 from vian.version import VERSION
 
@@ -34,6 +36,7 @@ def create_app(
     answers: Answers | None = None,
     note: Note = lambda kind, got: None,
     while_storing: Storing = nullcontext,
+    metrics: Metrics | None = None,
 ) -> FastAPI:
     """The application over a log; with grants or access it takes stations' segments.
 
@@ -44,6 +47,7 @@ def create_app(
         answers: Answers enrolled stations' questions.
         note: Told of each request of a station that is refused.
         while_storing: Entered while segments of a request are checked and stored.
+        metrics: What Prometheus reads, from this machine alone unless they are public.
     """
     # The pages of documentation that FastAPI would serve need a CDN; the schema itself is served.
     app = FastAPI(title="ViAn", version=VERSION, docs_url=None, redoc_url=None)
@@ -61,9 +65,20 @@ def create_app(
         except LogUnavailable:
             return JSONResponse({"status": "the database is away", "version": VERSION}, status_code=503)
 
+    if metrics is not None:
+        _add_metrics(app, metrics)
     if grants is not None or access is not None:
         app.include_router(router(log, grants, access=access, answers=answers, note=note, while_storing=while_storing))
     return app
+
+
+def _add_metrics(app: FastAPI, metrics: Metrics) -> None:
+    @app.get("/metrics", response_class=Response, responses={403: {"description": "asked from another machine"}})
+    def read(request: Request) -> Response:
+        """What an operator watches, for Prometheus."""
+        if not metrics.may_read(request.client.host if request.client is not None else None):
+            return PlainTextResponse("only this machine may read it, unless metrics_public is set\n", status_code=403)
+        return Response(metrics.text(), media_type=CONTENT_TYPE_PLAIN_0_0_4)
 
 
 def _paths(app: FastAPI) -> dict[str, str]:

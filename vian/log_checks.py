@@ -47,8 +47,8 @@ def check_log(log: Log, free_bytes: int | None, now: Callable[[], datetime] = ut
         now: This machine's clock.
     """
     yield from _settings(log)
-    yield _clock(log, now)
-    yield _horizon(log, free_bytes)
+    yield check_clock(log, now)
+    yield check_horizon(log, free_bytes)
     yield _lag(log)
     yield from _care(log, now())
 
@@ -88,7 +88,8 @@ def _set(name: str, value: str) -> str:
     return f"alter system set {name} = '{value}'; select pg_reload_conf();"
 
 
-def _clock(log: Log, now: Callable[[], datetime]) -> Finding:
+def check_clock(log: Log, now: Callable[[], datetime]) -> Finding:
+    """How this machine's clock agrees with the database's, and with the log."""
     before = now()
     told = health.clock(log)
     after = now()
@@ -111,7 +112,8 @@ def _clock(log: Log, now: Callable[[], datetime]) -> Finding:
     return Finding("clock", Verdict.OK, "that of the database agrees with this machine's and with the log")
 
 
-def _horizon(log: Log, free_bytes: int | None) -> Finding:
+def check_horizon(log: Log, free_bytes: int | None) -> Finding:
+    """When the log's disk is full at the rate of the last days; `free_bytes` None where that cannot be seen."""
     grown = health.growth(log, GROWTH_WINDOW)
     if grown is None:
         return Finding("disk horizon", Verdict.OK, "the log is empty")

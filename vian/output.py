@@ -107,12 +107,8 @@ class Output:
             for row in rows:
                 self.line(to_json(dict(zip(columns, row, strict=True))))
             return
-        table = Table(title=title or None, title_justify="left")
-        for column in columns:
-            table.add_column(Text(printable(column)), overflow="fold")
-        shown = [[Text(printable(_cell(value))) for value in row] for row in rows]
-        for cells in shown:
-            table.add_row(*cells)
+        shown = [_cells(row) for row in rows]
+        table = _table(title, columns, shown)
         if len(shown) == 1 and _width(columns, shown[0]) > self.out.width:
             self._on_its_side(columns, shown[0])
         else:
@@ -147,6 +143,24 @@ class Bar:
     def at(self, done: float, total: float | None = None) -> None:
         """Show that so much is done, of a total that may be known only now."""
         self.bars.update(self.task, completed=done, total=total)
+
+
+def laid_out(title: str, columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> Table:
+    """The rows as a table for people."""
+    return _table(title, columns, [_cells(row) for row in rows])
+
+
+def _table(title: str, columns: Sequence[str], shown: Iterable[Sequence[Text]]) -> Table:
+    table = Table(title=title or None, title_justify="left")
+    for column in columns:
+        table.add_column(Text(printable(column)), overflow="fold")
+    for cells in shown:
+        table.add_row(*cells)
+    return table
+
+
+def _cells(row: Sequence[Any]) -> list[Text]:
+    return [Text(printable(_cell(value))) for value in row]
 
 
 def _width(columns: Sequence[str], cells: Sequence[Text]) -> int:

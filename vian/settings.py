@@ -82,6 +82,8 @@ class Settings(BaseSettings):
     """address that `vian serve` listens on"""
     port: Annotated[int, Field(ge=0, le=65535)] = 8470
     """port that `vian serve` listens on; 0 takes a free one"""
+    metrics_public: bool = False
+    """whether other machines too may read `/metrics` of `vian serve`; else this one alone"""
     central: str | None = None
     """address of the central server that `vian sync` replicates to, such as https://central.example:8470"""
     token_file: HomePath | None = None

@@ -87,6 +87,7 @@ WRITER_CHANGES = {
     "stations": {"UPDATE"},  # the registry, made of events
     "enrolment_codes": {"UPDATE"},  # which are used
     "sync_tokens": {"UPDATE", "DELETE"},  # sessions, which end
+    "station_contacts": {"UPDATE"},  # what was heard last
 }
 """What the writer may change of the log's tables; each with its reason. All else it can at most add to."""
 

@@ -3,7 +3,7 @@ import pytest
 from store import Log
 from sync import Status, StreamStatus, WireError
 from sync.reports import CHECKPOINT, saved_status
-from tests.sync.conftest import BRNO, NOON, stream_of
+from tests.sync.conftest import BRNO, NOON, Faults, MakeDaemon, append_points, stream_of
 
 STREAMS = (
     StreamStatus(stream_of(), 1, 30, 9, 4, 5, None, NOON, 31.5),
@@ -32,3 +32,22 @@ def test_garbage_is_no_status(station_log: Log) -> None:
     with station_log.transaction() as transaction:
         transaction.save_checkpoint(CHECKPOINT, 0, b"of a newer ViAn")
     assert saved_status(station_log) is None
+
+
+def test_a_daemon_begins_with_what_the_one_before_it_said(
+    station_log: Log, faults: Faults, make_daemon: MakeDaemon
+) -> None:
+    append_points(station_log, stream_of(), [5])
+    first = make_daemon()
+    first.catch_up()
+    said = first.status()
+    append_points(station_log, stream_of(), [2])
+    again = make_daemon()
+    faults.next = "cut before sending"
+    while again.step().did != "failed":
+        pass
+    kept = again.status()
+    assert (kept.last_contact, kept.rate_bps) == (said.last_contact, said.rate_bps)
+    assert kept.clock_offset_s == said.clock_offset_s
+    points = next(each for each in kept.streams if each.stream == stream_of())
+    assert (points.sequence, points.cursor, points.backlog) == (7, 5, 2)

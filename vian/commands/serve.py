@@ -10,6 +10,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
+from time import monotonic
 from types import FrameType
 from typing import Annotated
 
@@ -17,6 +18,7 @@ import structlog
 import typer
 from fastapi import FastAPI
 
+from events import station_name
 from patterns.engine.compiling import compiling_beside
 from store import Log, Projector
 from sync.access import Access
@@ -25,6 +27,8 @@ from sync.refusals import Refusals
 from vian import logs, options
 from vian.admission import access_for, certificate_of, refusals_for, refusals_part
 from vian.api import bind, create_app, serving
+from vian.clock import utc_now
+from vian.metrics import Metrics, Watched
 from vian.options import opened, settings_for
 from vian.output import Output
 from vian.parts import Part, Parts, stepping
@@ -103,7 +107,11 @@ def serve(
         precedence = Precedence(settings.rows_wait_s)
         parts = stack.enter_context(Parts(_parts(stack, log, settings, role, door, precedence)))
         stopping = _stop_on_signals()
-        app = create_app(log) if door is None else _central_app(log, settings, grants, door, precedence)
+        app = (
+            create_app(log, metrics=_metrics(log, settings, None))
+            if door is None
+            else _central_app(log, settings, grants, door, precedence)
+        )
         address = stack.enter_context(serving(app, listening, certificate))
         Output(is_json=as_json).result(
             {"role": role, "address": address, "station": settings.station}, f"vian {role} at {address}"
@@ -127,6 +135,12 @@ def _door(log: Log, settings: Settings) -> _Door:
     return door
 
 
+def _metrics(log: Log, settings: Settings, door: _Door | None) -> Metrics:
+    registry, refused = (None, dict) if door is None else (door.access.registry, door.refusals.counts)
+    watched = Watched(log, station_name(settings.station), registry, refused)
+    return Metrics(watched, utc_now, monotonic, is_public=settings.metrics_public)
+
+
 def _central_app(log: Log, settings: Settings, grants: Grantor | None, door: _Door, precedence: Precedence) -> FastAPI:
     return create_app(
         log,
@@ -135,6 +149,7 @@ def _central_app(log: Log, settings: Settings, grants: Grantor | None, door: _Do
         answers=answering_for(log, settings, door.access),
         note=door.refusals.note,
         while_storing=precedence.urgent,
+        metrics=_metrics(log, settings, door),
     )
 
 

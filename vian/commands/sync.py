@@ -8,7 +8,7 @@ import typer
 
 from sync.daemon import Daemon
 from vian import options
-from vian.commands import sync_plan, sync_repair
+from vian.commands import sync_doctor, sync_plan, sync_repair, sync_status
 from vian.errors import WrongUsage
 from vian.options import opened, settings_for
 from vian.output import Output
@@ -18,6 +18,8 @@ from vian.replication import peer_of, plan_at_start, station_daemon, sync_part
 
 app = typer.Typer(help="Replicate this station's chosen streams to central, and choose them.")
 app.add_typer(sync_plan.app, name="plan")
+sync_status.register(app)
+sync_doctor.register(app)
 app.command(epilog="Example: vian sync repair")(sync_repair.repair)
 
 
