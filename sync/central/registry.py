@@ -182,6 +182,10 @@ class Registry:
             return known
         types = [StationEnrolled.type_name, StationRevoked.type_name]
         with self._log.connection() as connection, connection.transaction():
+            # Who makes it too, takes in or shuts out waits until this is done, lest an older event be taken in last.
+            connection.execute("lock table stations in share row exclusive mode")
+            if connection.execute("select 1 from stations limit 1").fetchone():
+                return len(self.stations())
             for event in self._events(types):
                 if isinstance(event, StationEnrolled):
                     _take_in(connection, event)

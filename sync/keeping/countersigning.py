@@ -47,6 +47,8 @@ SOURCE = "sync"
 PRODUCER = Producer("sync", "2", sha256(b"{}").digest())
 ASK_EVERY_S = 600.0
 """Time between two questions while central does not hold all of a checkpoint."""
+VOID = "countersigned"
+"""Name of the checkpoint that says up to which position of the station's log countersignatures prove nothing."""
 _LOOK_EVERY_S = 1.0
 _OWN_TYPES = (CheckpointSigned.type_name, CheckpointCountersigned.type_name)
 
@@ -304,6 +306,22 @@ class Countersigning:
         self.sequence = checkpoint.sequence
         self._agreed |= _told(heads_in(event.held))
 
+    def heed(self, held: Mapping[StreamKey, Runs]) -> None:
+        """Let no countersignature count that says more than central says that it holds: it lost that.
+
+        Whoever takes payloads off this log then waits until central has signed anew (`sync.keeping.pruning`).
+
+        Raises:
+            LogUnavailable: The database is away.
+        """
+        signed = self._last_signed() if self._key is not None else None
+        if signed is None or all(_ends(held.get(StreamKey(each.stream, each.epoch), ()), each) for each in signed):
+            return
+        position = self._log.head()
+        with self._log.transaction() as transaction:
+            transaction.save_checkpoint(VOID, position)
+        self._agreed, self.sequence = set(), None
+
     def gave_up(self) -> None:
         """Central did not sign: the next checkpoint is another chance."""
         self._newest = None
@@ -335,17 +353,24 @@ class Countersigning:
 
     def _agreed_before(self) -> set[StreamHead]:
         """What the log says was countersigned last."""
+        return _told(self._last_signed() or ())
+
+    def _last_signed(self) -> list[StreamHead] | None:
+        """The heads of the newest countersignature that counts; None where there is none."""
         lives = self._log.lives(self._stream)
         if not lives:
-            return set()
+            return None
         (segment,) = self._log.read(self._stream, lives[-1].sequence, epoch=lives[-1].epoch)
+        if segment.position <= self._log.checkpoint(VOID).position:
+            return None
         try:
             event = events_of(decode(segment, self._log.catalogue))[-1]
             assert isinstance(event, CheckpointCountersigned), "the stream holds these only"
-            self.sequence = event.checkpoint_sequence
-            return _told(heads_in(event.held))
+            heads = heads_in(event.held)
         except (EventError, ValueError):
-            return set()  # of a newer release: asked anew
+            return None  # of a newer release: asked anew
+        self.sequence = event.checkpoint_sequence
+        return heads
 
 
 def _ends(runs: Runs, head: StreamHead) -> bool:

@@ -66,8 +66,9 @@ class DiskWatch:
 
     def _settle(self) -> None:
         """There is room again: what was taken off is no longer counted."""
+        position = self._log.head()
         with self._log.transaction() as transaction:
-            transaction.save_checkpoint(CREDIT, self._log.head())
+            transaction.save_checkpoint(CREDIT, position)
         self._is_low, self._search, self._searched_at = False, None, None
 
     def _reserve(self) -> int:

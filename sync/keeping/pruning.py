@@ -30,6 +30,7 @@ from store.payloads import Freed, Weight, may_leave, reclaim, take_off, weights
 from store.resealing import Resealer, streams_of
 from store.room import CREDIT, credit_state
 from store.sealed import SealedFile
+from sync.keeping.countersigning import VOID
 
 SOURCE = "sync"
 PRODUCER = Producer("pruner", "1", sha256(b"{}").digest())
@@ -111,14 +112,15 @@ class Proof:
     """The newest countersigned checkpoint in the station's log, and what it proves of what central holds.
 
     A checkpoint whose signature does not hold proves nothing, nor does a head with another chain hash than this
-    log has there.
+    log has there, nor what central signed before it lost some of it, as its cursors said
+    (`sync.keeping.countersigning`).
     """
 
     def __init__(self, log: Log, station: Station, is_signed: IsSigned) -> None:
         self._log = log
         self._stream = StreamName.of(station, SOURCE, CheckpointCountersigned.type_name)
         self._is_signed = is_signed
-        self._seen: StreamHead | None = None
+        self._seen: tuple[StreamHead, int] | None = None
         self.held = NOTHING_HELD
 
     def look(self) -> bool:
@@ -129,14 +131,19 @@ class Proof:
             LogUnavailable: The database is away.
         """
         newest = next(iter(self._log.lives(self._stream)[-1:]), None)
-        if newest == self._seen or newest is None:
+        if newest is None:
             return False
+        seen = newest, self._log.checkpoint(VOID).position
+        if seen == self._seen:
+            return False
+        self.held = NOTHING_HELD
         (segment,) = self._log.read(newest.stream, newest.sequence, epoch=newest.epoch)
         event = events_of(decode(segment, self._log.catalogue))[-1]
         is_ours = isinstance(event, CheckpointCountersigned) and event.of_station == self._stream.station
-        if isinstance(event, CheckpointCountersigned) and is_ours and self._is_signed(event):
+        counts = segment.position > seen[1]  # else central lost, since it signed, what it held then
+        if isinstance(event, CheckpointCountersigned) and is_ours and counts and self._is_signed(event):
             self.held = Held(event.statement_hash, dict(_agreed(self._log, event)))
-        self._seen = newest
+        self._seen = seen
         return True
 
 

@@ -294,11 +294,12 @@ class Wanted:
 
     def ask(self, damages: Sequence[Damage]) -> None:
         """Want these back."""
+        at = self._log.head()  # before the transaction: who holds a connection must not wait for another
         with self._log.transaction() as transaction:
             kept = _damages(transaction.checkpoint(self._NAME).state)
             places = {each.position for each in damages}
             kept = [*(each for each in kept if each.position not in places), *damages]
-            transaction.save_checkpoint(self._NAME, self._log.head(), _state(kept[:WANTED_MAX]))
+            transaction.save_checkpoint(self._NAME, at, _state(kept[:WANTED_MAX]))
 
     def of(self, station: Station) -> list[Damage]:
         """What is wanted of a station."""
@@ -320,10 +321,11 @@ class Wanted:
         repairer = Repairer(self._log, own, lambda _: segments, str(station), now)
         done = [repairer.repair(damage) for damage in self.of(station)]
         mended = {each.damage.position for each in done if each.segments}
+        at = self._log.head()
         with self._log.transaction() as transaction:
             kept = _damages(transaction.checkpoint(self._NAME).state)
             left = [each for each in kept if each.position not in mended]
-            transaction.save_checkpoint(self._NAME, self._log.head(), _state(left))
+            transaction.save_checkpoint(self._NAME, at, _state(left))
         return sum(each.segments for each in done)
 
 

@@ -306,7 +306,10 @@ class Daemon:
             )
         )
         held = self._standing.acknowledged if answer.are_cursors_known else None
-        self._standing.hear(dict(held) if held is not None else _told(answer.cursors))
+        if held is None:
+            held = _told(answer.cursors)
+            self._countersigning.heed(held)
+        self._standing.hear(dict(held))
         self._outbox.forget()
         self._terms = _Terms.of(answer, self._monotonic(), {StreamKey(head.stream, head.epoch) for head in heads})
         self._caps.heed(answer.bits_per_s_max)
