@@ -126,9 +126,12 @@ class Sealer:
         head = self._head()
         if head.pending_path is None:
             return None
-        self._place.delete(head.pending_path)
         with self._archiver() as connection:
+            # The plan goes first, so that nobody can enter the file into the index any more; somebody may have.
             connection.execute("select forget_sealing(%s)", (head.pending_path,))
+            if connection.execute("select 1 from sealed_files where path = %s", (head.pending_path,)).fetchone():
+                return None
+            self._place.delete(head.pending_path)
         return head.pending_path
 
     def seal(self, before: datetime) -> Iterator[Sealed]:

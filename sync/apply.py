@@ -33,6 +33,9 @@ from sync.wire import (
     program,
 )
 
+SEQUENCE_MAX = 2**63 - 2
+"""What follows the last event must still be a number that the log can hold."""
+
 
 class Speaker(Protocol):
     """Who sent a request, as central has found out."""
@@ -181,6 +184,9 @@ def check(log: Log, station: Station, records: Sequence[Record], *, may_lack_pay
         segment = record.segment
         header = segment.header
         check_owner(station, header.stream, header.epoch, header.first_sequence)
+        if header.first_sequence < 1 or header.last_sequence > SEQUENCE_MAX:
+            got = f"sequences {header.first_sequence} to {header.last_sequence}"
+            raise corrupt(segment, "bad_header", got, f"sequences from 1 to {SEQUENCE_MAX}")
         if may_lack_payload and not segment.has_payload:
             continue
         _check_payload_hash(segment)

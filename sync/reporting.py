@@ -48,13 +48,14 @@ class Reporter:
             self._saved = at, state, error
 
     def _save(self, status: Status, at: float) -> None:
+        position = self._log.head()  # before: whoever holds a connection in a transaction must not wait for another
         with self._log.transaction() as transaction:
             before = _read(transaction.checkpoint(CHECKPOINT).state)
             if before is not None and before.daemon != self._name and self._saved is not None:
                 self._others[before.daemon] = at
             others = [name for name, seen in self._others.items() if at - seen < _OTHERS_S]
             saved = replace(status, saved_at=self._now(), daemon=self._name, other_daemons=len(others))
-            transaction.save_checkpoint(CHECKPOINT, self._log.head(), saved.to_json())
+            transaction.save_checkpoint(CHECKPOINT, position, saved.to_json())
 
 
 def _read(state: bytes) -> Status | None:

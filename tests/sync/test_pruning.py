@@ -1,7 +1,9 @@
 """Pruning below what central countersigned: what goes, what stays, and what the log says of it."""
 
 import json
+import threading
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -9,7 +11,9 @@ import pytest
 
 from events import CheckpointCountersigned, SegmentsPruned, Station, StreamName, decode, events_of
 from store import Log, Sealer, StoreError, verify
+from store.coldtier import ArchiveHead
 from store.payloads import take_off
+from store.resealing import Resealer
 from sync.pruning import Pruner
 from tests.store.samples import GATE, NOON, YARD, append, draft_of, owner, query
 from tests.store.tiered import seal_all
@@ -240,3 +244,31 @@ def test_a_segment_whose_payload_was_gone_before_it_was_sent_reaches_central_as_
     (stopped,) = [each for each in daemon.status().streams if each.error is not None]
     assert stopped.stream == gate
     assert "its payload left the disk, which protocol 1 cannot say" in str(stopped.error)
+
+
+def test_who_clears_away_beside_a_rewriting_does_not_take_the_new_file(log: Log, tmp_path: Path) -> None:
+    append(log, GATE, 30, 20)
+    seal_all(log, tmp_path, file_bytes=1_000_000)
+    is_entered, may_commit = threading.Event(), threading.Event()
+
+    def record(*_: object) -> None:
+        is_entered.set()
+        assert may_commit.wait(30)
+
+    (file,) = log.archive.files()
+    with ThreadPoolExecutor(1) as threads:
+        rewriting = threads.submit(Resealer(log, file).take_off, {1}, record)
+
+        class Between(Sealer):
+            """Looks what is pending just before the other one ends."""
+
+            def _head(self) -> ArchiveHead:
+                assert is_entered.wait(30)
+                head = super()._head()
+                may_commit.set()
+                rewriting.result()
+                return head
+
+        Between(log, str(tmp_path)).resume()
+    assert len(list((tmp_path / "_sealed").iterdir())) == 1
+    assert [each.has_payload for each in log.read(GATE, with_hollow=True)] == [False, True]

@@ -1,0 +1,52 @@
+"""A station that lies harms nobody but itself: what central takes of it, central can go on with."""
+
+from dataclasses import dataclass
+from hashlib import sha256
+from pathlib import Path
+
+import pytest
+
+from events import GENESIS, Header, Position, Segment, Sequence, Station, chain
+from store import Log, verify
+from sync.apply import apply_2
+from sync.errors import Refusal
+from sync.wire import Record, encode_records
+from tests.store.tiered import seal_all
+from tests.sync.conftest import BRNO, NOON, PRODUCER, append_points, stream_of
+
+OSLO = stream_of(station="oslo-1")
+MAX = 2**63 - 1
+
+
+@dataclass(frozen=True)
+class Speaker:
+    station: Station = BRNO
+
+
+def hollow(first: int, count: int, previous: bytes = GENESIS, *, begins_run: bool = True) -> Record:
+    """A segment without payload, of which nothing can be checked but that its hashes fit each other."""
+    header = Header(stream_of(), 1, Sequence(first), count, 1, NOON, NOON, PRODUCER)
+    payload_hash = sha256(b"nothing").digest()
+    chain_hash = chain(previous, header, payload_hash)
+    return Record(Segment(header, b"", payload_hash, chain_hash, Position(0), NOON), previous, begins_run)
+
+
+def send(log: Log, *records: Record) -> None:
+    apply_2(log, Speaker(), encode_records(records), body_bytes_max=10**6, segments_max=100)
+
+
+@pytest.mark.parametrize(("first", "count"), [(0, 1), (MAX, 1), (MAX - 2, 3)])
+def test_sequences_that_no_log_can_hold_are_refused(central_log: Log, first: int, count: int) -> None:
+    with pytest.raises(Refusal, match="wanted sequences from 1 to"):
+        send(central_log, hollow(first, count))
+    assert central_log.head() == 0
+
+
+def test_the_last_sequences_of_all_stop_nobody(central_log: Log, tmp_path: Path) -> None:
+    append_points(central_log, OSLO, [3, 2])
+    send(central_log, hollow(MAX - 3, 3))
+    append_points(central_log, OSLO, [3, 2])
+    seal_all(central_log, tmp_path)
+    append_points(central_log, OSLO, [1])
+    assert [each.header.first_sequence for each in central_log.read(OSLO)] == [1, 4, 6, 9, 11]
+    assert verify(central_log, station="oslo-1").is_sound
