@@ -1,11 +1,13 @@
 """Central countersigns what it holds; the station believes its signature only, and asks for nothing new twice."""
 
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from events import CheckpointCountersigned, CheckpointSigned, StreamName, batch_of, decode, encode, events_of
-from store import Log, Signer
+from store import DiskNearlyFull, Log, Signer
+from store.room import Room
 from sync import BadAnswer, Daemon, Plan, Refusal
 from sync.countersigning import countersign, heads_in, is_countersigned
 from sync.wire import CountersignRequest
@@ -169,3 +171,15 @@ def test_a_checkpoint_that_its_station_did_not_sign_is_refused(
     with pytest.raises(Refusal) as raised:
         countersign(central_log, BRNO, ASKED, CENTRAL_KEY, NOON)
     assert raised.value.code == "bad_checkpoint"
+
+
+def test_what_leads_to_room_is_recorded_on_a_full_disk(station_log: Log, make: MakeDaemon) -> None:
+    append_points(station_log, stream_of(), [3])
+    station_log.room = Room(station_log._fetched, Path("/"), lambda _: 0)
+    station_log.room.bytes_min = 1
+
+    with pytest.raises(DiskNearlyFull):
+        append_points(station_log, stream_of(), [3])
+    sign(station_log)
+    assert did(make()).count("countersigned") == 1
+    assert len(given(station_log)) == 1
