@@ -302,7 +302,8 @@ class Countersigning:
                 f"{key_id(self._key)}, or of another checkpoint. Next: if central's key was changed: "
                 "vian station enrol again"
             )
-        self._log.append([encode(self._stream, batch_of([event]), PRODUCER)])
+        # Pruning is what makes room, and it waits for this.
+        self._log.append([encode(self._stream, batch_of([event]), PRODUCER)], from_reserve=True)
         self.sequence = checkpoint.sequence
         self._agreed |= _told(heads_in(event.held))
 

@@ -102,5 +102,5 @@ def _set(log: Log, station: Station, plan: Plan, central: str, now: datetime) ->
         return present
     event = SyncPlanned(time=now, central=central, plan=plan.canonical(), plan_hash=plan_hash.hex())
     draft = encode(stream, batch_of([event]), Producer(PRODUCER, PRODUCER_VERSION, plan_hash))
-    log.append([draft], [head.sequence])
+    log.append([draft], [head.sequence], from_reserve=True)  # it may say what is given up on a full disk
     return Planned(plan, central, plan_hash.hex(), event.time, log.epoch, head.sequence + 1)

@@ -2,12 +2,14 @@
 
 from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from events import CheckpointCountersigned, CheckpointSigned, StreamName, batch_of, decode, encode, events_of
-from store import Log, Signer
+from store import DiskNearlyFull, Log, Signer
+from store.room import Room
 from sync import BadAnswer, Daemon, Plan, Refusal
 from sync.keeping.countersigning import countersign, heads_in, is_countersigned
 from sync.keeping.pruning import Pruner
@@ -198,3 +200,15 @@ def test_what_a_central_that_was_restored_lost_is_not_pruned_before_it_holds_it_
     daemon.catch_up()
     assert daemon.status().countersigned is not None
     assert prune() == [False, False]
+
+
+def test_what_leads_to_room_is_recorded_on_a_full_disk(station_log: Log, make: MakeDaemon) -> None:
+    append_points(station_log, stream_of(), [3])
+    station_log.room = Room(station_log._fetched, Path("/"), lambda _: 0)
+    station_log.room.bytes_min = 1
+
+    with pytest.raises(DiskNearlyFull):
+        append_points(station_log, stream_of(), [3])
+    sign(station_log)
+    assert did(make()).count("countersigned") == 1
+    assert len(given(station_log)) == 1
