@@ -8,8 +8,9 @@ Version 2 is for enrolled stations, which sign each request (`sync.central.acces
 the release before, which have a token of the stations file (`sync.protocol.grants`).
 """
 
-from collections.abc import Callable, Coroutine
-from contextlib import AbstractContextManager, nullcontext
+from collections import Counter
+from collections.abc import AsyncIterator, Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from time import monotonic
@@ -75,6 +76,8 @@ class Limits:
     """Bytes of a hello."""
     idle_s_max: float = 30.0
     """Seconds between two pieces of a body."""
+    requests_max: int = 8
+    """Requests of one station whose bodies are held at once."""
 
     def body(self, bytes_max: int) -> BodyLimits:
         """The limits of a body of so many bytes."""
@@ -129,12 +132,13 @@ def router(
     if grants is not None:
         api.include_router(_version_1(log, grants, most, now, note, while_storing, contacts))
     if access is not None:
-        api.include_router(_version_2(log, Door(access, most), most, now, note, answers, while_storing, contacts))
-        api.include_router(_repairs(log, Door(access, most), most, now, note))
+        door = Door(access, most)
+        api.include_router(_version_2(log, door, most, now, note, answers, while_storing, contacts))
+        api.include_router(_repairs(log, door, most, now, note))
     return api
 
 
-Opened = Callable[..., Coroutine[Any, Any, Call]]
+Opened = Callable[..., AsyncIterator[Call]]
 """A dependency that gives the `Call`."""
 
 
@@ -147,6 +151,7 @@ class Door:
     def __init__(self, access: Access, limits: Limits) -> None:
         self.access = access
         self._limits = limits
+        self._open: Counter[Station] = Counter()
 
     def hello(self) -> Opened:
         """A dependency: the station that says hello."""
@@ -179,10 +184,31 @@ class Door:
 
         async def call(
             request: Request, _: Annotated[None, Depends(declared)], one: Annotated[Asked, Depends(asked)]
-        ) -> Call:
-            return Call(one.caller, await read_signed(request, limits, one.digest), one)
+        ) -> AsyncIterator[Call]:
+            with self._held(one.caller.station):
+                yield Call(one.caller, await read_signed(request, limits, one.digest), one)
 
         return call
+
+    @contextmanager
+    def _held(self, station: Station) -> Iterator[None]:
+        """Count the station's requests whose bodies are held: an enrolled station must not fill central's memory."""
+        if self._open[station] >= self._limits.requests_max:
+            raise Refusal(
+                429,
+                "too_many_requests",
+                f"station {station} has too many requests under way",
+                f"{self._open[station] + 1} at once",
+                f"at most {self._limits.requests_max}",
+                "wait until one of them is answered; a daemon that runs twice is seen in vian sync status",
+            )
+        self._open[station] += 1
+        try:
+            yield
+        finally:
+            self._open[station] -= 1
+            if not self._open[station]:
+                del self._open[station]
 
 
 def _version_2(
