@@ -413,6 +413,8 @@ class Daemon:
         if self._standing.runs is None:
             return Step("sending")  # something failed since it was sent: hello will tell
         if isinstance(landed.answer, BaseException):
+            self._standing.doubt()  # whatever it was, nothing of the request counts as sent
+            self._outbox.forget()
             raise landed.answer
         told = _told(landed.answer.cursors)
         for each in landed.parcel.filled:
