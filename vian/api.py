@@ -15,10 +15,10 @@ from fastapi.responses import JSONResponse, PlainTextResponse
 from prometheus_client.exposition import CONTENT_TYPE_PLAIN_0_0_4
 
 from store import Log, LogUnavailable
-from sync.access import Access
-from sync.central import Answers, Storing, router
-from sync.grants import Grantor
-from sync.problems import Note
+from sync.central.access import Access
+from sync.central.problems import Note
+from sync.central.router import Answers, Storing, router
+from sync.protocol.grants import Grantor
 from vian.errors import WorldFailed
 from vian.metrics import Metrics
 from vian.tls import Certificate

@@ -52,8 +52,8 @@ from tests.sync.proxy import CALM, CUTS, OF_EXCHANGES, Proxy, Weather
 
 StreamKey = tuple[StreamName, int]
 
-BAD = Weather(share=0.4, kinds=(*OF_EXCHANGES, *CUTS, *CUTS), delay_s=0.01, silent_s=0.2)
-"""The link, all the while: nearly every second exchange meets something, a cut most often."""
+BAD = Weather(share=0.25, kinds=(*OF_EXCHANGES, *CUTS, *CUTS), delay_s=0.01, silent_s=0.2)
+"""The link, all the while: every fourth exchange meets something, a cut most often."""
 LOAD_S_MAX = 0.15
 """Longest load before a fault."""
 OUTAGE_S = 0.3

@@ -6,6 +6,7 @@ happens to its database or its link. Their clocks are files that say how far the
 
 import contextlib
 import logging
+import os
 import random
 import socket
 import threading
@@ -22,13 +23,13 @@ from fastapi import FastAPI
 from events import StreamName, station_name
 from store import Appender, Log, LogUnavailable, Signer, StationKey, StoreError
 from sync import Daemon, Limits, Pace, Plan, Step, router
-from sync.access import Access
-from sync.client import Central
-from sync.deriving import Deriver, DerivingChore
-from sync.enrolment import new_secret
-from sync.planning import planned_in
-from sync.signing import RequestSigner
-from sync.wire import PATH
+from sync.central.access import Access
+from sync.plans.deriving import Deriver, DerivingChore
+from sync.plans.planning import planned_in
+from sync.protocol.enrolment import new_secret
+from sync.protocol.signing import RequestSigner
+from sync.protocol.wire import PATH
+from sync.station.client import Central
 from tests.faults.load import WAIT_S, frames, opened, persistently
 from tests.store.samples import NOON, PRODUCER
 
@@ -40,11 +41,11 @@ STATION_KEY, CENTRAL_KEY = (StationKey(Ed25519PrivateKey.from_private_bytes(byte
 EVERYTHING = Plan.of({"entries": [{"stream": "*/*/*"}]})
 SIGN_EVERY_S = 0.5
 BATCH_MAX = 5
-APPEND_EVERY_S = 0.02
+APPEND_EVERY_S = 0.05
 """Pause between two appends: the load must leave room for what is tried."""
 ANSWER_S_MAX = 0.7
 """Longest wait of the daemon for an answer."""
-PACE = Pace(3000, 3000, in_flight=2, backoff_s=0.005, backoff_s_max=0.2, idle_s=1.0)
+PACE = Pace(20_000, 3000, in_flight=2, backoff_s=0.005, backoff_s_max=0.2, idle_s=1.0)
 """Small requests and short pauses, so that there are many requests to hit."""
 
 _LOOK_EVERY_S = 0.05
@@ -132,6 +133,7 @@ def serve_until_killed(data_dir: Path, port: int, say: Connection) -> None:
         limits = Limits(idle_s_max=2.0)
         app.include_router(router(log, None, limits, now=lambda: clock(data_dir / "clock"), access=access))
         threading.Thread(target=_keep, args=(log,), daemon=True).start()
+        threading.Thread(target=_end_with, args=(say,), daemon=True).start()
         say.send("ready")
         uvicorn.Server(uvicorn.Config(app, log_config=None, lifespan="off", ws="none")).run(sockets=[listening])
 
@@ -154,6 +156,13 @@ def _open(data_dir: Path) -> Log:
             if time.monotonic() > deadline:
                 raise
         time.sleep(_LOOK_EVERY_S)
+
+
+def _end_with(say: Connection) -> None:
+    """End when whoever began this is gone: it says nothing any more, and would not notice."""
+    with contextlib.suppress(EOFError, OSError):
+        say.recv()
+    os._exit(0)
 
 
 def _keep(log: Log) -> None:

@@ -23,7 +23,7 @@ from sync import (
     SessionOver,
     Step,
 )
-from sync.client_v1 import CentralV1
+from sync.station.client_v1 import CentralV1
 from tests.sync.conftest import (
     BRNO,
     EVERYTHING,

@@ -6,7 +6,7 @@ import uvicorn
 from fastapi import FastAPI
 
 from store import Log, LogUnavailable
-from sync.grants import Grants, token_hash
+from sync.protocol.grants import Grants, token_hash
 from tests.vian.samples import append, points
 from vian.api import bind, create_app, serving
 from vian.errors import WorldFailed

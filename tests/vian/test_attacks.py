@@ -20,12 +20,12 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from events import CorruptSegment, Header, Position, Segment, StreamName, chain, encode, events_of, station_name
 from events import decode as decode_events
 from store import Log, StationKey
-from sync.access import Access
-from sync.central import Limits, router
-from sync.enrolment import Enrol, new_secret
-from sync.refusals import Refusals
-from sync.signing import RequestSigner
-from sync.wire import PATH, Hello, Record, encode_records
+from sync.central.access import Access
+from sync.central.refusals import Refusals
+from sync.central.router import Limits, router
+from sync.protocol.enrolment import Enrol, new_secret
+from sync.protocol.signing import RequestSigner
+from sync.protocol.wire import PATH, Hello, Record, encode_records
 from tests.vian.samples import GATE, PRODUCER, START, points
 from vian.api import bind, create_app, serving
 from vian.clock import utc_now
