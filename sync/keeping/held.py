@@ -25,4 +25,6 @@ def runs_of(log: Log, keys: Iterable[StreamKey]) -> dict[StreamKey, Runs]:
     Raises:
         LogUnavailable: The database is away.
     """
-    return {key: tuple(log.runs(key.stream, key.epoch)) for key in keys}
+    wanted = list(keys)
+    runs = log.some_runs(wanted)
+    return {key: tuple(runs.get(key, ())) for key in wanted}
