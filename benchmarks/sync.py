@@ -76,7 +76,7 @@ MEASUREMENTS: dict[str, Callable[[Path, Plan], Iterator[Row | Figure]]] = {
     "drain": lambda folder, plan: sync_drain.drained(folder, plan.rounds, plan.segments),
     "wire": lambda folder, plan: sync_drain.crossed(folder, 3, min(plan.segments, 300)),
     "alerts": lambda folder, plan: sync_alerts.alerts(folder, plan.waiting_segments, plan.watched_s),
-    "many": lambda folder, plan: sync_many.many(folder, plan.rounds, 3 * plan.segments),
+    "many": lambda folder, plan: sync_many.many(folder, plan.rounds, 6 * plan.segments),
     "idle": lambda folder, plan: sync_idle.idle(folder, plan.idle_s),
 }
 

@@ -173,11 +173,11 @@ def _row(
     return Row(what, unit, ours, theirs, name, ratio, target, at_least)
 
 
-def backlog(number: int, segments: int, station: str = STATION) -> list[Draft]:
+def backlog(number: int, segments: int, station: str = STATION, *, cameras: int = CAMERAS) -> list[Draft]:
     """So many segments of the cameras, each round in streams of its own."""
     return [
         encode(
-            StreamName.of(station, f"cam-{camera % CAMERAS:03}-{number}", "track_point"),
+            StreamName.of(station, f"cam-{camera % cameras:03}-{number}", "track_point"),
             points(SEGMENT_EVENTS, camera % CAMERAS),
             PRODUCER,
         )

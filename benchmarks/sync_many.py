@@ -1,7 +1,8 @@
 """A hundred stations against one central, beside one station with as much to send.
 
-Contract: the stations' daemons are tasks of one process, each with connections and a right of its own; their logs
-share a database. All begin at once, with as many segments each. Central is `vian serve` with a log of its own.
+Contract: the stations' daemons are tasks of a few processes, each with connections and a right of its own; those of a
+process share a log. All have said hello before the clock starts, and begin at once, with as many segments of as many
+cameras each. Central is `vian serve` with a log of its own.
 """
 
 import statistics
@@ -13,13 +14,18 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+import psutil
+
 from benchmarks.link import Link, fast_link, inside
 from benchmarks.measuring import Figure, Row
 from benchmarks.sync_drain import SEGMENT_EVENTS, backlog, tuned_log, wait_until
-from benchmarks.sync_servers import Program, central_server, enrol, postgres_memory_bytes
+from benchmarks.sync_servers import Cost, Program, central_server, enrol, postgres_memory_bytes
 from store import Log
 
 STATIONS = 100
+_PROCESSES = 4
+_CAMERAS = 5
+"""of each station"""
 _MB = 2**20
 _LOOK_SECONDS = 0.5
 
@@ -33,6 +39,9 @@ class _Run:
     """when the first station was done, of when the last was"""
     memory_bytes: int
     postgres_bytes: int
+    central: Cost
+    stations_s: float
+    """CPU seconds of the stations' programs"""
 
 
 def many(folder: Path, rounds: int, segments: int) -> Iterator[Row | Figure]:
@@ -40,13 +49,15 @@ def many(folder: Path, rounds: int, segments: int) -> Iterator[Row | Figure]:
     names = [f"station-{number:03}" for number in range(STATIONS)]
     with ExitStack() as stack:
         link = stack.enter_context(fast_link(whole_packets=True))
-        station, central = (stack.enter_context(tuned_log(folder / name)) for name in ("station", "central"))
+        central = stack.enter_context(tuned_log(folder / "central"))
+        logs = [stack.enter_context(tuned_log(folder / log_name(number))) for number in range(_PROCESSES)]
         enrol(folder, ["alone", *names])
         server = stack.enter_context(central_server(link, folder))
         runs = []
         for number in range(rounds):
-            one = _run(link, folder, (station, central, server), ["alone"], number, segments)
-            runs.append((_run(link, folder, (station, central, server), names, number, segments // STATIONS), one))
+            one = _run(link, folder, (central, server), [(logs[0], ["alone"])], number, segments)
+            groups = [(log, names[first::_PROCESSES]) for first, log in enumerate(logs)]
+            runs.append((_run(link, folder, (central, server), groups, number, segments // STATIONS), one))
     pairs = [(all_of_them.events_per_s, one.events_per_s) for all_of_them, one in runs]
     ours, reference = (statistics.median(side) for side in zip(*pairs, strict=True))
     ratio = statistics.median(mine / other for mine, other in pairs)
@@ -57,24 +68,38 @@ def many(folder: Path, rounds: int, segments: int) -> Iterator[Row | Figure]:
     yield Figure("the same with its PostgreSQL", "MB", (memory + postgres) / _MB)
     fairness = statistics.median(each.fairness for each in crowds)
     yield Figure("time of the first station that was done, of the last one's", "", fairness)
+    for what, cost_s in _COSTS.items():
+        many_s, one_s = (statistics.median(cost_s(pair[side]) for pair in runs) for side in (0, 1))
+        yield Row(f"{what}, {STATIONS} stations", "s", many_s, one_s, "one station", many_s / one_s, None)
 
 
-def _run(
-    link: Link, folder: Path, ends: tuple[Log, Log, Program], names: Sequence[str], number: int, segments: int
-) -> _Run:
+Groups = Sequence[tuple[Log, Sequence[str]]]
+"""The stations of each process, and the log that they share."""
+
+_COSTS: dict[str, Callable[[_Run], float]] = {
+    "CPU of central": lambda run: run.central.program_s,
+    "CPU of central's PostgreSQL": lambda run: run.central.postgres_s,
+    "CPU of the stations' programs": lambda run: run.stations_s,
+}
+
+
+def _run(link: Link, folder: Path, ends: tuple[Log, Program], groups: Groups, number: int, segments: int) -> _Run:
     """One round: so many segments of each station, all begun at once."""
-    station, central, server = ends
-    for name in names:
-        station.append(backlog(number, segments, name))
-    with _ready(link, folder, names) as begin:
+    central, server = ends
+    for log, names in groups:
+        for name in names:
+            log.append(backlog(number, segments, name, cameras=_CAMERAS))
+    stations = sum(len(names) for _, names in groups)
+    with _ready(link, folder, groups) as (begin, cpu_s):
         first, memory = central.head() + 1, _Memory(server, folder / "central" / "pg")
-        began = time.perf_counter()
+        before, stations_before, began = server.cost(), cpu_s(), time.perf_counter()
         begin()
-        wait_until(lambda: memory.is_looked_at() and central.head() >= first + len(names) * segments - 1)
-        seconds = time.perf_counter() - began
+        wait_until(lambda: memory.is_looked_at() and central.head() >= first + stations * segments - 1)
+        seconds, cost, stations_s = time.perf_counter() - began, server.cost().since(before), cpu_s() - stations_before
     times = _times(central, first)
-    events = len(names) * segments * SEGMENT_EVENTS
-    return _Run(events / seconds, min(times) / max(times), memory.program, memory.postgres)
+    events = stations * segments * SEGMENT_EVENTS
+    fairness = min(times) / max(times)
+    return _Run(events / seconds, fairness, memory.program, memory.postgres, cost, stations_s)
 
 
 class _Memory:
@@ -106,22 +131,47 @@ def _times(central: Log, first: int) -> list[float]:
 
 
 @contextmanager
-def _ready(link: Link, folder: Path, names: Sequence[str]) -> Iterator[Callable[[], None]]:
-    """The stations' daemons, ready to send; what lets them begin."""
-    command = inside(link.station, [sys.executable, "-m", "benchmarks.sync_stations", str(folder), *names])
-    process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
-    assert process.stdin is not None
-    assert process.stdout is not None
-    process.stdout.readline()
+def _ready(link: Link, folder: Path, groups: Groups) -> Iterator[tuple[Callable[[], None], Callable[[], float]]]:
+    """The stations' daemons, ready to send; what lets them begin, and what tells their CPU seconds."""
+    with ExitStack() as stack:
+        processes = [
+            stack.enter_context(_stations(link, folder, number, names)) for number, (_, names) in enumerate(groups)
+        ]
+        for process in processes:
+            assert process.stdout is not None
+            process.stdout.readline()
+        yield lambda: _tell(processes), lambda: sum(map(_cpu_s, processes))
+        for process in processes:
+            if process.wait():
+                raise SystemExit(f"{process.args!r} ended with {process.returncode}")
+
+
+@contextmanager
+def _stations(link: Link, folder: Path, number: int, names: Sequence[str]) -> Iterator[subprocess.Popen[bytes]]:
+    command = [sys.executable, "-m", "benchmarks.sync_stations", str(folder), log_name(number), *names]
+    process = subprocess.Popen(inside(link.station, command), stdin=subprocess.PIPE, stdout=subprocess.PIPE)
     try:
-        yield lambda: _tell(process)
-        if process.wait():
-            raise SystemExit(f"{' '.join(command)} ended with {process.returncode}")
+        yield process
     finally:
         process.kill()
+        process.communicate()
 
 
-def _tell(process: subprocess.Popen[bytes]) -> None:
-    assert process.stdin is not None
-    process.stdin.write(b"go\n")
-    process.stdin.flush()
+def log_name(number: int) -> str:
+    """Folder of the log that the stations of that process share."""
+    return f"station-{number}" if number else "station"
+
+
+def _cpu_s(process: subprocess.Popen[bytes]) -> float:
+    try:
+        times = psutil.Process(process.pid).cpu_times()
+    except psutil.NoSuchProcess:
+        return 0.0
+    return float(times.user + times.system)
+
+
+def _tell(processes: Sequence[subprocess.Popen[bytes]]) -> None:
+    for process in processes:
+        assert process.stdin is not None
+        process.stdin.write(b"go\n")
+        process.stdin.flush()

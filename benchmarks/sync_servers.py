@@ -17,8 +17,8 @@ import psutil
 from benchmarks.link import CENTRAL_IP, Link, inside
 from events import station_name
 from store import load_key, make_key, open_log
-from sync.access import REPLICATE
-from sync.enrolment import new_secret
+from sync.central.access import REPLICATE
+from sync.protocol.enrolment import new_secret
 from vian.admission import access_for
 from vian.clock import utc_now
 from vian.membership import Membership, save_membership

@@ -1,10 +1,11 @@
-"""Many stations' daemons as tasks of one process: python -m benchmarks.sync_stations FOLDER NAME ...
+"""Many stations' daemons as tasks of one process: python -m benchmarks.sync_stations FOLDER LOG NAME ...
 
 Contract: it says a line when all have said hello, and begins to send when it is told a line. It ends when central has
 everything of each.
 """
 
 import sys
+import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
@@ -16,10 +17,10 @@ from vian.replication import load_plan, peer_by_membership, station_daemon
 from vian.signatures import KEY_NAME
 
 
-def main(folder: Path, names: list[str]) -> None:
+def main(folder: Path, log_name: str, names: list[str]) -> None:
     """Run the stations' daemons until they are done."""
     with ExitStack() as stack:
-        log = stack.enter_context(open_log(data_dir=folder / "station"))
+        log = stack.enter_context(open_log(data_dir=folder / log_name))
         key = load_key(folder / "station" / KEY_NAME)
         daemons = [
             stack.enter_context(
@@ -32,7 +33,15 @@ def main(folder: Path, names: list[str]) -> None:
         sys.stdout.write("ready\n")
         sys.stdout.flush()
         sys.stdin.readline()
-        list(pool.map(lambda daemon: daemon.catch_up(), daemons))
+        list(pool.map(_drain, daemons))
+
+
+def _drain(daemon: Any) -> None:
+    """Go on as an operator's daemon does, which says hello again after a lost connection."""
+    while (step := daemon.step()).did != "nothing":
+        if step.error is not None:
+            print(step.error, file=sys.stderr)
+            time.sleep(step.sleep_s)
 
 
 def _greet(daemon: Any) -> None:
@@ -41,4 +50,4 @@ def _greet(daemon: Any) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), sys.argv[2:])
+    main(Path(sys.argv[1]), sys.argv[2], sys.argv[3:])

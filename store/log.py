@@ -12,7 +12,7 @@ delete anything in the log.
 
 import select
 import shutil
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import datetime
@@ -44,6 +44,7 @@ from store.standing import (
     ALL_RUNS,
     BASES,
     RUNS,
+    SOME_RUNS,
     STANDING,
     Standing,
     StreamHead,
@@ -502,6 +503,17 @@ class Log:
         wanted = {**stream_names(stream), "epoch": self.epoch if epoch is None else epoch}
         rows = self._rows(RUNS, wanted)
         return runs_of(rows[0][0], rows[0][1], [row[2:] for row in rows]) if rows else []
+
+    def some_runs(self, places: Collection[Place]) -> dict[Place, list[Run]]:
+        """What is here of these streams, in one round trip: their runs, ascending; one without events is left out."""
+        streams = [stream for stream, _ in places]
+        wanted = {
+            "stations": [stream.station for stream in streams],
+            "sources": [stream.source for stream in streams],
+            "types": [stream.type for stream in streams],
+            "epochs": [epoch for _, epoch in places],
+        }
+        return all_runs_of(self._rows(SOME_RUNS, wanted))
 
     def all_runs(self, *, station: str | None = None) -> dict[Place, list[Run]]:
         """What is here of all streams, or one station's, that hold events: their runs, ascending."""

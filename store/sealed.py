@@ -123,6 +123,8 @@ class FileChains:
         self._chains = Chains()
         self.ends: dict[tuple[Stream, int], bytes] = {}
         """the last sequence of each range, and its chain hash"""
+        self.hollow: list[int] = []
+        """positions of the segments without payload"""
 
     def goes_on(self, segment: Segment) -> bool:
         """Whether the segment before it in its stream is in the file, and came before it."""
@@ -144,6 +146,8 @@ class FileChains:
         follow(self._chains, segment)
         self.ends.pop((stream, before), None)
         self.ends[stream, segment.header.last_sequence] = segment.chain_hash
+        if not segment.has_payload:
+            self.hollow.append(segment.position)
 
 
 def _stream(segment: Segment) -> Stream:

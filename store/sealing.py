@@ -300,7 +300,7 @@ class Sealer:
         with self._archiver() as connection:
             connection.execute(
                 "select seal_segments(%s, %b::bytea, %s, %s::text[], %s::int[], %s::text[], %s::text[], "
-                "%s::bigint[], %b::bytea[])",
+                "%s::bigint[], %b::bytea[], %s::bigint[])",
                 (
                     plan.path,
                     sha256,
@@ -311,6 +311,7 @@ class Sealer:
                     [name.type for name, _, _, _ in ends],
                     [sequence for _, _, sequence, _ in ends],
                     [chain_hash for _, _, _, chain_hash in ends],
+                    chains.hollow,
                 ),
             )
 

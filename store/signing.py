@@ -141,7 +141,9 @@ class Signer:
         )
         event = event_of(statement, key.sign(statement_bytes(statement)))
         expected = base.sequence if base.epoch == self._log.epoch else 0
-        (place,) = self._log.append([encode(self._stream, batch_of([event]), PRODUCER)], [expected])
+        draft = encode(self._stream, batch_of([event]), PRODUCER)
+        # Payloads leave a full disk only below a checkpoint.
+        (place,) = self._log.append([draft], [expected], from_reserve=True)
         signed = checkpoint_of(event, self._stream.station, place.first_sequence)
         base.checkpoint, base.epoch, base.strangers = signed, self._log.epoch, 0
         return signed

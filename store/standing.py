@@ -27,6 +27,12 @@ _OPEN = (
     "s.sequence, s.chain_hash, b.sequence, b.chain_hash, b.filled_sequence, b.filled_hash "
     "from streams s left join stream_bases b on b.stream_id = s.id and b.filled_sequence < b.sequence"
 )
+SOME_RUNS = (
+    f"select {_STREAM}, {_OPEN} join unnest(%(stations)s::text[], %(sources)s::text[], %(types)s::text[], "
+    f"%(epochs)s::integer[]) as w(station, source, type, epoch) "
+    "on w.station = s.station and w.source = s.source and w.type = s.type and w.epoch = s.epoch "
+    "order by s.station, s.source, s.type, s.epoch, b.sequence"
+)
 RUNS = f"select {_OPEN} where {_NAMED} order by b.sequence"
 ALL_RUNS = (
     f"select {_STREAM}, {_OPEN} where %(station)s::text is null or s.station = %(station)s "
@@ -112,7 +118,7 @@ def runs_of(sequence: int, chain_hash: bytes, bases: Iterable[Sequence[Any]]) ->
 
 
 def all_runs_of(rows: Iterable[Sequence[Any]]) -> dict[Place, list[Run]]:
-    """What the rows of `ALL_RUNS` say; a stream without events is left out."""
+    """What the rows of `ALL_RUNS` or `SOME_RUNS` say; a stream without events is left out."""
     runs = {
         (StreamName(*names), epoch): runs_of(each[0][4], each[0][5], [row[6:] for row in each])
         for (*names, epoch), each in ((key, list(group)) for key, group in groupby(rows, lambda row: row[:4]))

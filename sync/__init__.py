@@ -4,8 +4,7 @@ A station's `Daemon` sends what its `Plan` names; central's `router` takes it fo
 `Grants`. The protocol is docs/reference/sync.md.
 """
 
-from sync.central import Limits, router
-from sync.daemon import Daemon
+from sync.central.router import Limits, router
 from sync.errors import (
     BadAnswer,
     CentralError,
@@ -26,9 +25,10 @@ from sync.errors import (
     SyncError,
     WireError,
 )
-from sync.grants import Grants, token_hash
-from sync.plan import LANES, Entry, Plan
-from sync.reports import Pace, Status, Step, StreamStatus
+from sync.plans.plan import LANES, Entry, Plan
+from sync.protocol.grants import Grants, token_hash
+from sync.protocol.reports import Pace, Status, Step, StreamStatus
+from sync.station.daemon import Daemon
 
 __all__ = [
     "LANES",

@@ -8,10 +8,10 @@ import structlog
 
 from events import Station, station_name
 from store import Log, LogUnavailable, known_keys, make_key
-from sync.access import Access
-from sync.enrolment import Code, code_text, new_secret
-from sync.refusals import Refusals
-from sync.registry import Registry
+from sync.central.access import Access
+from sync.central.refusals import Refusals
+from sync.central.registry import Registry
+from sync.protocol.enrolment import Code, code_text, new_secret
 from vian.clock import utc_now
 from vian.errors import WrongUsage
 from vian.parts import Part, stepping

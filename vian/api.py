@@ -15,16 +15,18 @@ from fastapi.responses import JSONResponse, PlainTextResponse
 from prometheus_client.exposition import CONTENT_TYPE_PLAIN_0_0_4
 
 from store import Log, LogUnavailable
-from sync.access import Access
-from sync.central import Answers, Storing, router
-from sync.grants import Grantor
-from sync.problems import Note
+from sync.central.access import Access
+from sync.central.problems import Note
+from sync.central.router import Answers, Storing, router
+from sync.protocol.grants import Grantor
 from vian.errors import WorldFailed
 from vian.metrics import Metrics
 from vian.tls import Certificate
 from vian.version import VERSION
 
 _START_SECONDS_MAX = 15.0
+KEEP_ALIVE_S = 10
+"""Longer than the 5 s for which httpx, a station's HTTP, uses a connection again: else a request meets its end."""
 _END_SECONDS_MAX = 5
 
 
@@ -120,6 +122,7 @@ def serving(app: FastAPI, listening: socket.socket, certificate: Certificate | N
         lifespan="off",
         ssl_certfile=shown,
         ssl_keyfile=key,
+        timeout_keep_alive=KEEP_ALIVE_S,
         # A station that holds its connection open, or does not answer TLS's farewell, must not hold up the end.
         timeout_graceful_shutdown=_END_SECONDS_MAX,
     )

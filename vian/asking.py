@@ -15,10 +15,10 @@ import sqlglot
 from sqlglot.errors import SqlglotError
 
 from store import Log
+from sync.central.lookup import columns_of
 from sync.errors import BadAnswer, CentralError, CentralFailed, CentralUnreachable
-from sync.lookup import columns_of
-from sync.questions import Answer, FindQuestion, QueryQuestion
-from sync.reports import saved_status
+from sync.protocol.questions import Answer, FindQuestion, QueryQuestion
+from sync.protocol.reports import saved_status
 from vian.errors import WorldFailed, WrongUsage
 from vian.lookup import look_up
 from vian.output import counted, to_json

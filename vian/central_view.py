@@ -12,8 +12,8 @@ from datetime import datetime, timedelta
 from events import RequestRefused, Run, Station, StationEnrolled, StreamName, decode, events_of
 from store import Log
 from store.health import newest_recorded
-from sync.contacts import StationContact, contacts_of
-from sync.registry import Registered, Registry
+from sync.central.contacts import StationContact, contacts_of
+from sync.central.registry import Registered, Registry
 from sync.runs import StreamKey
 
 REFUSALS_OVER = timedelta(days=1)

@@ -7,9 +7,9 @@ import httpx
 
 from events import station_name
 from store import Log
-from sync.asking import Desk
-from sync.client import Central, Greeting
-from sync.deadlines import bounded
+from sync.station.asking import Desk
+from sync.station.client import Central, Greeting
+from sync.station.deadlines import bounded
 from vian.clock import utc_now
 from vian.errors import WrongUsage
 from vian.membership import Membership, load_membership, station_key

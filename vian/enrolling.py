@@ -8,11 +8,11 @@ import httpx
 
 from events import Station
 from store import StationKey
-from sync.enrolment import Enrol, Enrolled
 from sync.errors import WireError
-from sync.signing import RequestSigner
-from sync.unreachable import why_unreachable
-from sync.wire import PATH, M, Problem, parse
+from sync.protocol.enrolment import Enrol, Enrolled
+from sync.protocol.signing import RequestSigner
+from sync.protocol.wire import PATH, M, Problem, parse
+from sync.station.unreachable import why_unreachable
 from vian.errors import WorldFailed
 from vian.membership import Membership
 from vian.tls import station_context

@@ -15,8 +15,8 @@ import pyarrow.compute as pc
 
 from events import EventBatch, Segment, UnknownType, decode, with_envelope
 from store import Log
-from sync.lookup import KEY, SEPARATORS, columns_of, like, plate_key
-from sync.questions import FindQuestion
+from sync.central.lookup import KEY, SEPARATORS, columns_of, like, plate_key
+from sync.protocol.questions import FindQuestion
 
 logger = logging.getLogger(__name__)
 

@@ -12,8 +12,8 @@ import httpx
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from store import BadProof, StationKey, key_id, load_key
-from sync.signing import RequestSigner
-from sync.wire import PATH, HashText, StationText
+from sync.protocol.signing import RequestSigner
+from sync.protocol.wire import PATH, HashText, StationText
 from vian.errors import WrongUsage
 from vian.settings import Settings
 from vian.signatures import key_path

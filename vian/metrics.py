@@ -16,8 +16,8 @@ from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metri
 
 from events import Station
 from store import Log, LogUnavailable
+from sync.central.registry import Registry
 from sync.errors import PlanError
-from sync.registry import Registry
 from vian.central_view import central_view
 from vian.replication import load_plan
 from vian.sync_view import days_left, station_view

@@ -8,12 +8,12 @@ import structlog
 
 from events import CheckpointCountersigned, EventError, station_name
 from store import Log, LogUnavailable, StoreError
-from sync.countersigning import is_countersigned
 from sync.errors import PlanError
-from sync.losses import DiskWatch
-from sync.plan import GiveUp
-from sync.planning import planned_in
-from sync.pruning import IsSigned, Proof, Pruner
+from sync.keeping.countersigning import is_countersigned
+from sync.keeping.losses import DiskWatch
+from sync.keeping.pruning import IsSigned, Proof, Pruner
+from sync.plans.plan import GiveUp
+from sync.plans.planning import planned_in
 from vian.clock import utc_now
 from vian.membership import load_membership
 from vian.parts import Part, stepping

@@ -7,9 +7,9 @@ from time import monotonic
 from events import station_name
 from store import Log
 from store.field import Cost
-from sync.access import Access
-from sync.answering import Answering, QuestionLimits
-from sync.pages import Pages
+from sync.central.access import Access
+from sync.central.answering import Answering, QuestionLimits
+from sync.central.pages import Pages
 from vian.clock import utc_now
 from vian.settings import Settings
 

@@ -8,8 +8,8 @@ import httpx
 from events import StreamName, station_name
 from store import Log, verify
 from store.keys import load_key
-from sync.client import Central, Greeting
-from sync.repair import Damage, Repaired, Repairer, Wanted, damaged_headers, damaged_payloads, hollow_payloads
+from sync.keeping.repair import Damage, Repaired, Repairer, Wanted, damaged_headers, damaged_payloads, hollow_payloads
+from sync.station.client import Central, Greeting
 from vian.clock import utc_now
 from vian.errors import WorldFailed
 from vian.membership import load_membership

@@ -12,16 +12,16 @@ import structlog
 
 from events import station_name
 from store import Log, StationKey
-from sync.checking import check_filters
-from sync.client import Central, Link
-from sync.client_v1 import CentralV1
-from sync.daemon import Daemon
-from sync.deadlines import bounded
-from sync.deriving import Deriver, DerivingChore
-from sync.plan import Plan
-from sync.planning import planned_in
-from sync.reports import Pace, Step
-from sync.rotation import take_turns
+from sync.plans.checking import check_filters
+from sync.plans.deriving import Deriver, DerivingChore
+from sync.plans.plan import Plan
+from sync.plans.planning import planned_in
+from sync.protocol.reports import Pace, Step
+from sync.station.client import Central, Link
+from sync.station.client_v1 import CentralV1
+from sync.station.daemon import Daemon
+from sync.station.deadlines import bounded
+from sync.station.rotation import take_turns
 from vian.clock import utc_now
 from vian.errors import WrongUsage
 from vian.membership import Membership, check_address, load_membership, station_key

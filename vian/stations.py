@@ -12,7 +12,7 @@ import structlog
 
 from events import Station, station_name
 from sync.errors import GrantError
-from sync.grants import Grants, checked_token, token_hash
+from sync.protocol.grants import Grants, checked_token, token_hash
 from vian.errors import WorldFailed, WrongUsage
 
 logger = structlog.get_logger()

@@ -15,14 +15,14 @@ from cryptography import x509
 
 from events import Station, StreamName, station_name
 from store import Log, load_key
-from sync.checking import check_filters, warnings_of
-from sync.client import Greeting
 from sync.errors import BadAnswer, CentralError, HeadsDisagree, PlanError
-from sync.outbox import check_heads
-from sync.plan import Plan
-from sync.planning import planned_in
+from sync.plans.checking import check_filters, warnings_of
+from sync.plans.plan import Plan
+from sync.plans.planning import planned_in
+from sync.protocol.wire import HelloAnswer
 from sync.runs import StreamKey, end_of
-from sync.wire import HelloAnswer
+from sync.station.client import Greeting
+from sync.station.outbox import check_heads
 from vian.errors import VianError
 from vian.findings import Finding, Verdict
 from vian.log_checks import check_clock, check_horizon

@@ -12,12 +12,12 @@ from datetime import datetime
 from events import CheckpointCountersigned, CheckpointSigned, Station, StreamName
 from store import Log, StreamHead, health
 from store.sizes import Part, Size, sizes
-from sync.deriving import CHECKPOINT as DERIVED
-from sync.entries import base_of, derived_name
-from sync.plan import Plan
-from sync.planning import planned_in
-from sync.preview import record_bytes
-from sync.reports import Status, StreamStatus, saved_status
+from sync.plans.deriving import CHECKPOINT as DERIVED
+from sync.plans.entries import base_of, derived_name
+from sync.plans.plan import Plan
+from sync.plans.planning import planned_in
+from sync.plans.preview import record_bytes
+from sync.protocol.reports import Status, StreamStatus, saved_status
 from vian.log_checks import GROWTH_LEAST, GROWTH_WINDOW
 from vian.output import counted
 

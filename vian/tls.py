@@ -16,7 +16,7 @@ from cryptography.hazmat.primitives.hashes import SHA256
 from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat, PublicFormat
 from cryptography.x509.oid import NameOID
 
-from sync.enrolment import pin_of
+from sync.protocol.enrolment import pin_of
 from vian.errors import WorldFailed, WrongUsage
 from vian.stations import write_private
 

@@ -4,10 +4,11 @@
 -- ranges of sequences: one ends where the next events are not among them, or were taken before. The caller names for
 -- each range the last sequence and the chain hash that it read back from the file. A chain hash stands for every byte of
 -- the stream up to there, so a file that holds anything else does not get past this.
+-- What the file holds without payload (p_hollow, positions) may have come back meanwhile; then it must be written anew.
 -- Errors: VA006, nothing is removed.
 create function seal_segments(
   p_path text, p_sha256 bytea, p_bytes bigint, p_station text[], p_epoch integer[], p_source text[], p_type text[],
-  p_last_sequence bigint[], p_chain_hash bytea[]
+  p_last_sequence bigint[], p_chain_hash bytea[], p_hollow bigint[]
 ) returns void
 language plpgsql security definer set search_path from current as $$
 declare
@@ -20,6 +21,9 @@ begin
     raise exception 'no sealing of % is planned', p_path using errcode = 'VA006';
   end if;
   first := head.sealed_position + 1;
+  if exists (select from segments where position = any(p_hollow) and payload is not null) then
+    raise exception 'a payload that % lacks came back while it was written', p_path using errcode = 'VA006';
+  end if;
 
   insert into sealed_files (first_position, last_position, path, sha256, bytes, segments, events, time_min, time_max)
     select first, head.pending_position, p_path, p_sha256, p_bytes, count(*), sum(g.event_count), min(g.time_min),

@@ -17,6 +17,7 @@ declare
   last        bigint;
   before      bytea;
   is_demanded boolean;
+  written     bigint;
 begin
   update archive_head set is_rewriting = true;
   update segments g set first_sequence = u.fs, event_count = u.ec, schema_version = u.sv, time_min = u.tmin,
@@ -26,6 +27,11 @@ begin
       p_version, p_configuration, p_payload, p_payload_hash, p_chain_hash)
       as u(po, fs, ec, sv, tmin, tmax, pr, ve, co, pl, ph, ch)
     where g.position = u.po;
+  get diagnostics written = row_count;
+  if written <> cardinality(p_position) then
+    raise exception 'of positions % only % are here; what is sealed is not repaired here', p_position, written
+      using errcode = 'VA008';
+  end if;
   for r in select * from segments where position = any(p_position) order by position loop
     select * into strict s from streams where id = r.stream_id;
     last := r.first_sequence + r.event_count - 1;

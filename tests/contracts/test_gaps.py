@@ -71,6 +71,9 @@ def test_runs_can_be_had_of_one_station_or_all(log: Log, sent: list[Segment]) ->
     assert [(run.after, run.sequence) for run in every[GATE, 1]] == [(0, 30), (50, 60), (80, 90)]
     assert [place[1] for place in log.all_runs(station="plzen")] == [7]
     assert log.all_runs(station="nobody") == {}
+    places = list(every)[:2]
+    assert log.some_runs([*places, (YARD, 9), *places]) == {place: every[place] for place in places}
+    assert log.some_runs([]) == {}
 
 
 def test_what_fills_a_gap_takes_new_positions(log: Log, sent: list[Segment]) -> None:

@@ -23,13 +23,13 @@ from fastapi import FastAPI
 from events import StreamName, station_name
 from store import Appender, Log, LogUnavailable, Signer, StationKey, StoreError
 from sync import Daemon, Limits, Pace, Plan, Step, router
-from sync.access import Access
-from sync.client import Central
-from sync.deriving import Deriver, DerivingChore
-from sync.enrolment import new_secret
-from sync.planning import planned_in
-from sync.signing import RequestSigner
-from sync.wire import PATH
+from sync.central.access import Access
+from sync.plans.deriving import Deriver, DerivingChore
+from sync.plans.planning import planned_in
+from sync.protocol.enrolment import new_secret
+from sync.protocol.signing import RequestSigner
+from sync.protocol.wire import PATH
+from sync.station.client import Central
 from tests.faults.load import WAIT_S, frames, opened, persistently
 from tests.store.samples import NOON, PRODUCER
 

@@ -8,8 +8,8 @@ import psycopg
 import pytest
 
 from events import Draft, PayloadGone, Segment, SegmentsPruned, decode
-from store import BadRequest, Log, Projector, Subscription, back_up, open_log, restore, verify
-from store.payloads import may_leave, put_back, reclaim, take_off, weights
+from store import BadRequest, Log, Projector, Sealer, StoreError, Subscription, back_up, open_log, restore, verify
+from store.payloads import may_leave, put_back, reclaim, repair, take_off, weights
 from tests.conftest import Server
 from tests.store.samples import GATE, NOON, YARD, append, draft_of, on_both, owner, query
 from tests.store.tiered import seal_all
@@ -98,6 +98,32 @@ def test_only_the_bytes_that_its_hash_names_come_back(log: Log) -> None:
         put_back(transaction, 1, second.payload)
     with log.transaction() as transaction:
         put_back(transaction, 1, first.payload)
+    assert points_of(log) == [first, second]
+
+
+def test_what_was_sealed_meanwhile_is_not_said_to_be_repaired(log: Log, tmp_path: Path) -> None:
+    append(log, GATE, 3)
+    (segment,) = points_of(log)
+    seal_all(log, tmp_path)
+    with pytest.raises(BadRequest, match="only 0 are here"), log.transaction() as transaction:
+        repair(transaction, {1: segment})
+
+
+def test_what_comes_back_while_it_is_sealed_is_not_lost_again(log: Log, tmp_path: Path) -> None:
+    append(log, GATE, 3, 2)
+    first, second = points_of(log)
+    hollow(log, 1)
+
+    def bring_back(step: str) -> None:
+        if step == "written":
+            with log.transaction() as transaction:
+                put_back(transaction, 1, first.payload)
+
+    sealer = Sealer(log, str(tmp_path), on_step=bring_back)
+    with pytest.raises(StoreError, match="came back"):
+        list(sealer.seal(FUTURE))
+    assert points_of(log) == [first, second]
+    seal_all(log, tmp_path)
     assert points_of(log) == [first, second]
 
 

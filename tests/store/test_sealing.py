@@ -221,10 +221,11 @@ def test_the_database_removes_nothing_but_what_was_read_back(filled: Log, tmp_pa
         [name.type for name, _ in names],
         [ends[name][0] for name in names],
         [ends[name][1] for name in names],
+        [],
     ]
     call = (
         "select seal_segments(%s, %b::bytea, %s, %s::text[], %s::int[], %s::text[], %s::text[], %s::bigint[], "
-        "%b::bytea[])"
+        "%b::bytea[], %s::bigint[])"
     )
 
     def refused(last: int, said: str, **changed: object) -> None:
@@ -261,7 +262,7 @@ def test_the_writer_cannot_seal_and_nobody_changes_the_index(filled: Log, tmp_pa
         "select plan_sealing('x', 'y', 7)",
         "select forget_sealing('y')",
         "select relocate_archive('y')",
-        "select seal_segments('y', '', 1, null, null, null, null, null, null)",
+        "select seal_segments('y', '', 1, null, null, null, null, null, null, null)",
         "delete from sealed_files",
         "update archive_head set sealed_position = 0",
         "insert into sealed_ranges select * from sealed_ranges",

@@ -18,11 +18,11 @@ from events import (
     station_name,
 )
 from store import Log, Projector
-from sync.access import EVERY_STATION, OPERATIONS, Caller
-from sync.answering import Answering, QuestionLimits
-from sync.pages import Pages
-from sync.questions import Answer, FindQuestion, QueryQuestion
-from sync.wire import parse
+from sync.central.access import EVERY_STATION, OPERATIONS, Caller
+from sync.central.answering import Answering, QuestionLimits
+from sync.central.pages import Pages
+from sync.protocol.questions import Answer, FindQuestion, QueryQuestion
+from sync.protocol.wire import parse
 from tests.sync.conftest import NOON, PRODUCER
 
 CENTRAL = station_name("central")

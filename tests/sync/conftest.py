@@ -21,12 +21,12 @@ from fastapi import FastAPI
 from events import Producer, Segment, Station, StreamName, TrackPoint, batch_of, encode, station_name
 from store import Log, StationKey
 from sync import Daemon, Grants, Limits, Pace, Plan, router, token_hash
-from sync.access import Access
-from sync.client import Central
-from sync.client_v1 import CentralV1
-from sync.enrolment import new_secret
-from sync.signing import RequestSigner
-from sync.wire import PATH
+from sync.central.access import Access
+from sync.protocol.enrolment import new_secret
+from sync.protocol.signing import RequestSigner
+from sync.protocol.wire import PATH
+from sync.station.client import Central
+from sync.station.client_v1 import CentralV1
 
 BRNO = station_name("brno-2")
 TOKEN = "a-token-of-brno-2-that-nobody-guesses"

@@ -2,7 +2,8 @@
 
 import base64
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from datetime import datetime, timedelta
 from time import monotonic
 
@@ -11,16 +12,16 @@ import psycopg
 import pytest
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
-from events import Station, station_name
+from events import EventType, Station, station_name
 from store import Log, StationKey
-from sync.access import Access, Caller
-from sync.enrolment import Attempts, Code, Enrol, code_text, new_secret, parse_code
+from sync.central.access import Access, Caller
+from sync.central.refusals import KINDS_MAX, Kind, Refusals
+from sync.central.registry import Registered, Registry
+from sync.central.sessions import WINDOW
 from sync.errors import GrantError, Refusal
-from sync.refusals import KINDS_MAX, Kind, Refusals
-from sync.registry import Registered
-from sync.sessions import WINDOW
-from sync.signing import RequestSigner
-from sync.wire import PATH
+from sync.protocol.enrolment import Attempts, Code, Enrol, code_text, new_secret, parse_code
+from sync.protocol.signing import RequestSigner
+from sync.protocol.wire import PATH
 from tests.sync.conftest import NOON
 
 BRNO, OSLO, CENTRAL = (station_name(name) for name in ("brno-2", "oslo-1", "central"))
@@ -514,3 +515,30 @@ def test_what_cannot_be_recorded_is_kept(log: Log, clock: Clock, monkeypatch: py
             refusals.record(is_all=True)
     (event,) = refusals.record(is_all=True)
     assert (event.count, event.got) == (2, "x")
+
+
+def test_a_registry_made_again_lets_nobody_in_who_was_revoked_meanwhile(log: Log, access: Access, clock: Clock) -> None:
+    secret = new_secret()
+    access.registry.invite(BRNO, secret, ("replicate",), (), NOON + timedelta(hours=1))
+    access.registry.enrol(BRNO, secret, KEY.public, None)
+    with psycopg.connect(log.dsn) as connection:
+        connection.execute("delete from stations")  # as after a restore
+
+    with ThreadPoolExecutor(1) as threads:
+        revoking: list[Future[Registered]] = []
+
+        class Slow(Registry):
+            """Reads the log's events, and then another process revokes the station."""
+
+            def _events(self, types: Sequence[str]) -> list[EventType]:
+                events = list(super()._events(types))
+                other = Registry(log, CENTRAL, clock)
+                revoking.append(threads.submit(lambda: (other.recover(), other.revoke(BRNO))[1]))
+                wait(revoking, 0.3)  # it ends, or waits for what is made here
+                return events
+
+        Slow(log, CENTRAL, clock).recover()
+        revoking[0].result()
+    station = access.registry.station(BRNO)
+    assert station is not None
+    assert station.revoked_at is not None

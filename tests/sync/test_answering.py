@@ -11,10 +11,10 @@ from events import SHIPPED, Catalogue, EventType
 from store import Log, LogUnavailable
 from store.errors import QuestionFailed, QuestionTooDear
 from store.field import Cost, field_session, field_tables
-from sync.answering import Answering, QuestionLimits
+from sync.central.answering import Answering, QuestionLimits
 from sync.errors import Refusal
-from sync.questions import Answer, FindQuestion, QueryQuestion
-from sync.wire import parse
+from sync.protocol.questions import Answer, FindQuestion, QueryQuestion
+from sync.protocol.wire import parse
 from tests.conftest import Server
 from tests.store.samples import on_both
 from tests.sync.asking import EVERYBODY, answering, audit, caller, find, plate, project, query, situation, tell

@@ -8,14 +8,14 @@ import pytest
 from fastapi import FastAPI
 
 from store import Log
-from sync.access import Access
-from sync.asking import Desk
-from sync.central import router
-from sync.client import Central, Greeting
+from sync.central.access import Access
+from sync.central.router import router
 from sync.errors import NotAuthorised, Refused
-from sync.questions import QUESTION_BYTES_MAX, Answer, FindQuestion, QueryQuestion
-from sync.signing import RequestSigner
-from sync.wire import PATH, parse
+from sync.protocol.questions import QUESTION_BYTES_MAX, Answer, FindQuestion, QueryQuestion
+from sync.protocol.signing import RequestSigner
+from sync.protocol.wire import PATH, parse
+from sync.station.asking import Desk
+from sync.station.client import Central, Greeting
 from tests.sync.asking import CENTRAL, answering, audit, plate, project, tell
 from tests.sync.conftest import BRNO, NOON, Serve
 from tests.sync.test_access import CENTRAL_KEY, KEY, OSLO, OTHER_KEY, enrol

@@ -14,8 +14,8 @@ from events import Header, Position, Segment, chain, encode, header_bytes
 from events import batch_of as batch
 from store import Log
 from sync import Limits, Refusal
-from sync.apply_v1 import apply
-from sync.wire_v1 import Hello, SegmentsAnswer, StreamState, encode_record, encode_records
+from sync.central.apply_v1 import apply
+from sync.protocol.wire_v1 import Hello, SegmentsAnswer, StreamState, encode_record, encode_records
 from tests.sync.conftest import (
     BRNO,
     NOON,

@@ -3,9 +3,9 @@
 from datetime import UTC, datetime, timedelta
 
 from store import Log
-from sync.contacts import Contacts, contacts_of
+from sync.central.contacts import Contacts, contacts_of
+from sync.protocol.wire import Hello, StreamState
 from sync.runs import StreamKey
-from sync.wire import Hello, StreamState
 from tests.sync.conftest import BRNO, NOON, MakeDaemon, append_points, stream_of
 
 ZEROS = "00" * 32

@@ -1,20 +1,27 @@
 """Central countersigns what it holds; the station believes its signature only, and asks for nothing new twice."""
 
+from collections.abc import Callable
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from events import CheckpointCountersigned, CheckpointSigned, StreamName, batch_of, decode, encode, events_of
-from store import Log, Signer
+from store import DiskNearlyFull, Log, Signer
+from store.room import Room
 from sync import BadAnswer, Daemon, Plan, Refusal
-from sync.countersigning import countersign, heads_in, is_countersigned
-from sync.wire import CountersignRequest
+from sync.keeping.countersigning import countersign, heads_in, is_countersigned
+from sync.keeping.pruning import Pruner
+from sync.protocol.wire import CountersignRequest
 from tests.sync.conftest import (
     BRNO,
     CENTRAL_KEY,
     NOON,
     MakeDaemon,
+    Serve,
     append_points,
+    central_app,
     key_of,
     stream_of,
 )
@@ -169,3 +176,39 @@ def test_a_checkpoint_that_its_station_did_not_sign_is_refused(
     with pytest.raises(Refusal) as raised:
         countersign(central_log, BRNO, ASKED, CENTRAL_KEY, NOON)
     assert raised.value.code == "bad_checkpoint"
+
+
+def test_what_a_central_that_was_restored_lost_is_not_pruned_before_it_holds_it_again(
+    station_log: Log, make: MakeDaemon, make_log: Callable[[], Log], serve: Serve
+) -> None:
+    append_points(station_log, stream_of(), [3, 2])
+    sign(station_log)
+    make().catch_up()
+    restored = serve(central_app(make_log()))
+
+    def prune() -> list[bool]:
+        pruner = Pruner(station_log, BRNO, timedelta(0), lambda event: is_countersigned(event, CENTRAL_KEY.public))
+        while pruner.step(datetime.now(UTC) + timedelta(days=1)):
+            pass
+        return [each.has_payload for each in station_log.read(stream_of(), with_hollow=True)]
+
+    not_now = Plan.of({"entries": [{"stream": "*/gate/*", "send": False}, {"stream": "*/*/*"}]})
+    make(address=restored, plan=not_now).catch_up()
+    assert prune() == [True, True]
+
+    daemon = make(address=restored)
+    daemon.catch_up()
+    assert daemon.status().countersigned is not None
+    assert prune() == [False, False]
+
+
+def test_what_leads_to_room_is_recorded_on_a_full_disk(station_log: Log, make: MakeDaemon) -> None:
+    append_points(station_log, stream_of(), [3])
+    station_log.room = Room(station_log._fetched, Path("/"), lambda _: 0)
+    station_log.room.bytes_min = 1
+
+    with pytest.raises(DiskNearlyFull):
+        append_points(station_log, stream_of(), [3])
+    sign(station_log)
+    assert did(make()).count("countersigned") == 1
+    assert len(given(station_log)) == 1

@@ -14,8 +14,8 @@ from sync import (
     PlanError,
     SegmentRefused,
 )
-from sync.bell import Bell
-from sync.outbox import READERS_MAX
+from sync.station.bell import Bell
+from sync.station.outbox import READERS_MAX
 from tests.sync.conftest import (
     BRNO,
     EVERYTHING,
@@ -112,7 +112,7 @@ def test_more_streams_than_a_hello_can_name_are_told(
     station_log: Log, make_daemon: MakeDaemon, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     append_points(station_log, stream_of(), [1])
-    monkeypatch.setattr("sync.standing.STREAMS_MAX", 1)
+    monkeypatch.setattr("sync.station.standing.STREAMS_MAX", 1)
 
     with pytest.raises(PlanError, match=r"the plan names 2 streams of this station, at most 1 can be sent"):
         make_daemon().catch_up()

@@ -20,10 +20,12 @@ from sync import (
     Pace,
     ProtocolMismatch,
     Refused,
+    SegmentRefused,
     SessionOver,
     Step,
 )
-from sync.client_v1 import CentralV1
+from sync.station.client import Central
+from sync.station.client_v1 import CentralV1
 from tests.sync.conftest import (
     BRNO,
     EVERYTHING,
@@ -432,3 +434,23 @@ def test_an_address_without_a_scheme_is_reported(station_log: Log, make_daemon: 
         )
         with pytest.raises(CentralUnreachable, match=r"http://"):
             daemon.catch_up()
+
+
+def test_a_stream_that_stops_in_a_request_leaves_the_others_of_it_to_be_sent(
+    station_log: Log, central_log: Log, daemon: Daemon, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for source in ("gate", "yard"):
+        append_points(station_log, stream_of(source), [2])
+    send = Central.send
+
+    def sent(self: Central, records: Any, order: str = "", follows: str = "") -> Any:
+        if any(record.segment.stream.source == "yard" for record in records):
+            raise SegmentRefused(stream_of("yard"), 1, 1, "it will not do")
+        return send(self, records, order, follows)
+
+    monkeypatch.setattr(Central, "send", sent)
+    dones = [step.did for step in iter(daemon.step, Step("nothing", Pace().idle_s)) if step.did != "countersigned"]
+
+    assert dones.count("stopped") == 1
+    assert central_log.stream_head(stream_of("gate")).sequence == 2
+    assert central_log.stream_head(stream_of("yard")).sequence == 0

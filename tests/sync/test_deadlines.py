@@ -11,10 +11,10 @@ import pytest
 
 from events import station_name
 from sync import CentralUnreachable
-from sync.client import Central
-from sync.deadlines import bounded
-from sync.turns import Turns
-from sync.wire import ChallengeRequest
+from sync.central.turns import Turns
+from sync.protocol.wire import ChallengeRequest
+from sync.station.client import Central
+from sync.station.deadlines import bounded
 
 BRNO = station_name("brno-2")
 PATIENCE_S = 30.0
@@ -135,7 +135,7 @@ def test_a_request_that_fails_is_through_as_well() -> None:
 
 
 def test_few_names_of_few_stations_are_remembered(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sync.turns._STATIONS_MAX", 2)
+    monkeypatch.setattr("sync.central.turns._STATIONS_MAX", 2)
     turns = Turns(wait_s=0.001)
     for station in ("a", "b", "c"):
         for number in range(100):

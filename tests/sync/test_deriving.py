@@ -14,9 +14,9 @@ from events import Catalogue, EventType, PlateRead, StreamName, batch_of, decode
 from store import Log, LogUnavailable, verify
 from store.log import Transaction
 from sync import FilterFailed, Plan
-from sync.deriving import Deriver, DerivingChore
-from sync.entries import derived_name
-from sync.planning import plan_stream, set_plan
+from sync.plans.deriving import Deriver, DerivingChore
+from sync.plans.entries import derived_name
+from sync.plans.planning import plan_stream, set_plan
 from tests.store.tiered import seal_all
 from tests.sync.conftest import BRNO, NOON, PRODUCER, MakeDaemon, append_points, points, stream_of
 
@@ -231,9 +231,9 @@ def _any_steps(log: Log, data: st.DataObject) -> None:
                 chosen = data.draw(st.sampled_from(range(3)))
                 plans[chosen] = plan(log, *entries[chosen : chosen + 1])
             elif move == "page":
-                patch.setattr("sync.deriving.PAGE_SEGMENTS", data.draw(st.integers(1, 4)))
-                patch.setattr("sync.deriving.PAGE_POSITIONS", data.draw(st.integers(1, 9)))
-                patch.setattr("sync.deriving.UNSAVED_POSITIONS", data.draw(st.integers(1, 9)))
+                patch.setattr("sync.plans.deriving.PAGE_SEGMENTS", data.draw(st.integers(1, 4)))
+                patch.setattr("sync.plans.deriving.PAGE_POSITIONS", data.draw(st.integers(1, 9)))
+                patch.setattr("sync.plans.deriving.UNSAVED_POSITIONS", data.draw(st.integers(1, 9)))
             elif move == "kill":
                 _kill(derivers[0], patch, is_before=data.draw(st.booleans()))
                 derivers[0] = Deriver(log, BRNO)
@@ -382,7 +382,7 @@ def test_segments_without_payload_are_passed_over(station_log: Log) -> None:
 
 
 def test_large_events_are_cut_into_segments(station_log: Log, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sync.deriving.SEGMENT_BYTES", 1000)
+    monkeypatch.setattr("sync.plans.deriving.SEGMENT_BYTES", 1000)
     append_points(station_log, GATE, [100])
     made = plan(station_log, filtered("true"))
     run(Deriver(station_log, BRNO))

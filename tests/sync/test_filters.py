@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 
 from events import Catalogue, EventBatch, EventType, PlateRead, TrackPoint, batch_of, events_of
 from sync import FilterFailed, Plan, PlanError
-from sync.checking import check_filters, covers, warnings_of
-from sync.filtering import Sieve, database, joined
-from sync.filters import bind
-from sync.where import WhereError, parse
+from sync.plans.checking import check_filters, covers, warnings_of
+from sync.plans.filtering import Sieve, database, joined
+from sync.plans.filters import bind
+from sync.plans.where import WhereError, parse
 from tests.sync.conftest import NOON, points
 
 CATALOGUE = Catalogue.shipped()

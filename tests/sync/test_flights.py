@@ -6,10 +6,10 @@ from typing import Any, cast
 
 import pytest
 
-from sync.client import Link
-from sync.flights import Flights
-from sync.outbox import Parcel
-from sync.wire import SegmentsAnswer
+from sync.protocol.wire import SegmentsAnswer
+from sync.station.client import Link
+from sync.station.flights import Flights
+from sync.station.outbox import Parcel
 
 NOTHING = Parcel((), ())
 ALERTS, POINTS = 0, 30

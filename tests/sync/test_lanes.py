@@ -7,8 +7,8 @@ import pytest
 from events import Run
 from store import Log, verify
 from sync import Daemon, Pace, Plan
-from sync.planning import set_plan
-from sync.reports import saved_status
+from sync.plans.planning import set_plan
+from sync.protocol.reports import saved_status
 from tests.sync.conftest import (
     BRNO,
     EVERYTHING,

@@ -1,5 +1,6 @@
 """A station that lies harms nobody but itself: what central takes of it, central can go on with."""
 
+from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
@@ -8,9 +9,10 @@ import pytest
 
 from events import GENESIS, Header, Position, Segment, Sequence, Station, chain
 from store import Log, verify
-from sync.apply import apply_2
+from sync.central.apply import apply_2
+from sync.central.turns import WAITING_MAX, Turns
 from sync.errors import Refusal
-from sync.wire import Record, encode_records
+from sync.protocol.wire import Record, encode_records
 from tests.store.tiered import seal_all
 from tests.sync.conftest import BRNO, NOON, PRODUCER, append_points, stream_of
 
@@ -50,3 +52,14 @@ def test_the_last_sequences_of_all_stop_nobody(central_log: Log, tmp_path: Path)
     append_points(central_log, OSLO, [1])
     assert [each.header.first_sequence for each in central_log.read(OSLO)] == [1, 4, 6, 9, 11]
     assert verify(central_log, station="oslo-1").is_sound
+
+
+def test_requests_that_follow_none_keep_no_more_than_a_few_threads() -> None:
+    turns = Turns(60.0)
+    with ThreadPoolExecutor(WAITING_MAX + 1) as threads:
+        waiting = {threads.submit(turns.wait_for, BRNO, "never") for _ in range(WAITING_MAX + 1)}
+        let_on, still = wait(waiting, 30, FIRST_COMPLETED)
+        assert (len(let_on), len(still)) == (1, WAITING_MAX)
+        with turns.named(BRNO, "never"):
+            pass
+    turns.wait_for(BRNO, "never")

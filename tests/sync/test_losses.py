@@ -23,9 +23,9 @@ from events import (
 )
 from store import DiskNearlyFull, Log, Projector, open_log, verify
 from store.room import Room
-from sync.losses import DiskWatch
-from sync.plan import GiveUp
-from sync.pruning import Proof
+from sync.keeping.losses import DiskWatch
+from sync.keeping.pruning import Proof
+from sync.plans.plan import GiveUp
 from tests.store.disks import fill
 from tests.store.samples import GATE, NOON, PRODUCER, YARD, append
 from tests.sync.test_pruning import countersign, pruned_of, signed, whole
@@ -85,7 +85,7 @@ def test_without_a_policy_recording_stops_before_the_disk_is_full_and_goes_on_by
 
 
 def test_what_central_holds_goes_first_and_is_no_loss(log: Log, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sync.losses.SEGMENTS_MAX", 2)
+    monkeypatch.setattr("sync.keeping.losses.SEGMENTS_MAX", 2)
     disk = Disk(log)
     append(log, GATE, 3, 2)
     append(log, YARD, 4, 4)

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from events import StreamName, station_name
 from sync import LANES, Entry, Plan, PlanError
-from sync.entries import base_of, derived_name
+from sync.plans.entries import base_of, derived_name
 
 TEXT = """\
 entries:

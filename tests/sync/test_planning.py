@@ -9,7 +9,7 @@ import pytest
 from events import Producer, SyncPlanned, batch_of, encode
 from store import Log
 from sync import Plan, PlanError
-from sync.planning import plan_stream, planned_in, set_plan
+from sync.plans.planning import plan_stream, planned_in, set_plan
 from tests.sync.conftest import BRNO, NOON, PRODUCER, MakeDaemon
 
 NOW = {"entries": [{"stream": "*/*/*", "from": "now"}]}

@@ -10,11 +10,11 @@ from events import StreamName, header_bytes
 from store import Log
 from store.sizes import Part, Size, sizes
 from sync import Plan
-from sync.changes import changes_of
-from sync.deriving import Deriver
-from sync.preview import RECORD_BYTES, AllHeld, EntryPreview, Held, Preview, held_by, preview
-from sync.reports import Status, StreamStatus
-from sync.wire import record_size
+from sync.plans.changes import changes_of
+from sync.plans.deriving import Deriver
+from sync.plans.preview import RECORD_BYTES, AllHeld, EntryPreview, Held, Preview, held_by, preview
+from sync.protocol.reports import Status, StreamStatus
+from sync.protocol.wire import record_size
 from tests.store.tiered import seal_all
 from tests.sync.conftest import BRNO, NOON, append_points, stream_of
 from tests.sync.test_deriving import filtered, plan, run

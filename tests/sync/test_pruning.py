@@ -14,7 +14,7 @@ from store import Log, Sealer, StoreError, verify
 from store.coldtier import ArchiveHead
 from store.payloads import take_off
 from store.resealing import Resealer
-from sync.pruning import Pruner
+from sync.keeping.pruning import Pruner
 from tests.store.samples import GATE, NOON, YARD, append, draft_of, owner, query
 from tests.store.tiered import seal_all
 from tests.sync.conftest import MakeDaemon
@@ -156,7 +156,7 @@ def test_lots_are_bounded(log: Log, monkeypatch: pytest.MonkeyPatch, most: int) 
     append(log, GATE, 3, 3, 3)
     countersign(log, (GATE, 9))
     size = len(next(log.read(GATE)).payload)
-    monkeypatch.setattr("sync.pruning.BYTES_MAX", most * size + 5)
+    monkeypatch.setattr("sync.keeping.pruning.BYTES_MAX", most * size + 5)
     run(Pruner(log, BRNO, DAYS_30, signed))
     assert whole(log, GATE) == [False] * 3
     assert [segments for *_, segments in pruned_of(log)] == ([1, 1, 1] if most == 1 else [2, 1])

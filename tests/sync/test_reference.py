@@ -7,12 +7,13 @@ from types import ModuleType
 import pytest
 
 from events import Catalogue
-from sync import LANES, Entry, Pace, Plan, wire, wire_v1
-from sync.checking import check_filters
-from sync.entries import HASH_DIGITS, WHERE_CHARACTERS_MAX, GiveUp
-from sync.preview import SAMPLE_SEGMENTS
-from sync.where import DEPTH_MAX, FUNCTIONS
-from sync.wire import (
+from sync import LANES, Entry, Pace, Plan
+from sync.plans.checking import check_filters
+from sync.plans.entries import HASH_DIGITS, WHERE_CHARACTERS_MAX, GiveUp
+from sync.plans.preview import SAMPLE_SEGMENTS
+from sync.plans.where import DEPTH_MAX, FUNCTIONS
+from sync.protocol import wire, wire_v1
+from sync.protocol.wire import (
     CURSORS_MAX,
     HEADER_BYTES_MAX,
     PAYLOAD_BYTES_MAX,
@@ -46,8 +47,8 @@ def test_each_key_of_each_message_is_told(module: ModuleType, text: str) -> None
 
 
 def test_each_problem_is_told() -> None:
-    names = ("access", "apply", "bodies", "central", "countersigning", "enrolment", "registry", "sessions", "unpacking")
-    sources = "".join((ROOT / "sync" / f"{name}.py").read_text(encoding="utf-8") for name in names)
+    names = ("access", "apply", "bodies", "router", "countersigning", "enrolment", "registry", "sessions", "unpacking")
+    sources = "".join(next((ROOT / "sync").rglob(f"{name}.py")).read_text(encoding="utf-8") for name in names)
     refusals = re.findall(r'(?:Refusal\(\s*\d+,\s*|corrupt\(segment, |_no_code\(|code, first = )"(\w+)"', sources)
     codes = {*refusals, "false_header", "bad_header", "other_history", "other_bytes"}
 

@@ -13,8 +13,8 @@ import pytest
 from events import Draft, Segment
 from store import Log
 from sync import Daemon, Pace, Plan
-from sync.client_v1 import CentralV1
-from sync.wire_v1 import decode_records
+from sync.protocol.wire_v1 import decode_records
+from sync.station.client_v1 import CentralV1
 from tests.sync.conftest import BRNO, NOON, TOKEN, central_app, start_http
 from tests.sync.transcripts import Exchange, conversation
 

@@ -11,14 +11,14 @@ from fastapi import FastAPI
 from events import Draft, Segment, SegmentsRepaired, Station, StreamName, decode, events_of
 from store import Log, verify
 from store.payloads import take_off
-from sync.access import Access
-from sync.central import router
-from sync.client import Central, Greeting
-from sync.daemon import Daemon
+from sync.central.access import Access
+from sync.central.router import router
 from sync.errors import CentralUnreachable, Refusal, Refused
-from sync.plan import Plan
-from sync.repair import Repaired, Repairer, Wanted, damaged_payloads, hollow_payloads, records_for
-from sync.wire import Range, decode_records
+from sync.keeping.repair import Repaired, Repairer, Wanted, damaged_payloads, hollow_payloads, records_for
+from sync.plans.plan import Plan
+from sync.protocol.wire import Range, decode_records
+from sync.station.client import Central, Greeting
+from sync.station.daemon import Daemon
 from tests.store.samples import GATE, NOON, YARD, append, owner
 from tests.sync.conftest import Serve
 from tests.sync.test_access import CENTRAL_KEY, KEY, Sender, enrol

@@ -2,7 +2,7 @@ import pytest
 
 from store import Log
 from sync import Status, StreamStatus, WireError
-from sync.reports import CHECKPOINT, saved_status
+from sync.protocol.reports import CHECKPOINT, saved_status
 from tests.sync.conftest import BRNO, NOON, Faults, MakeDaemon, append_points, stream_of
 
 STREAMS = (

@@ -6,8 +6,8 @@ import httpx
 import pytest
 from fastapi import FastAPI, Request
 
-from sync.deadlines import bounded
-from sync.rotation import CONNECTIONS, take_turns
+from sync.station.deadlines import bounded
+from sync.station.rotation import CONNECTIONS, take_turns
 from tests.sync.conftest import Serve
 
 Ports = list[int]

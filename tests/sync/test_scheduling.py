@@ -7,10 +7,19 @@ from hypothesis import strategies as st
 
 from events import GENESIS, Run, StreamName
 from sync import Entry, Plan
-from sync.pacing import Bucket, Caps, Sizer
+from sync.protocol.wire import cursors_hash
 from sync.runs import BEGINNING, Gap, Point, StreamKey, are_held, gaps_of, split, with_range
-from sync.scheduling import CAUGHT_UP_EVENTS_MAX, LIVE_EVENTS_MAX, Planned, Share, Work, chosen, mark_of, works_of
-from sync.wire import cursors_hash
+from sync.station.pacing import Bucket, Caps, Sizer
+from sync.station.scheduling import (
+    CAUGHT_UP_EVENTS_MAX,
+    LIVE_EVENTS_MAX,
+    Planned,
+    Share,
+    Work,
+    chosen,
+    mark_of,
+    works_of,
+)
 
 GATE = StreamKey(StreamName.of("brno-2", "gate", "track_point"), 1)
 YARD = StreamKey(StreamName.of("brno-2", "yard", "track_point"), 1)

@@ -1,7 +1,7 @@
 import pytest
 
+from sync.central.selects import LENGTH_MAX, permitted
 from sync.errors import SelectRefused
-from sync.selects import LENGTH_MAX, permitted
 
 ENVELOPE = ("id", "station", "source", "type", "subject", "time", "sequence", "position", "recorded_at", "epoch")
 TABLES = {

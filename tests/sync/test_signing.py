@@ -7,9 +7,9 @@ import pytest
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from store import StationKey
-from sync import signing
 from sync.errors import BadSignature
-from sync.signing import RequestSigner, Signed, content_digest, signed
+from sync.protocol import signing
+from sync.protocol.signing import RequestSigner, Signed, content_digest, signed
 
 PATH = "/sync/v2"
 KEY = StationKey(Ed25519PrivateKey.generate())

@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 
 from events import GENESIS, Header, Position, Producer, Segment, Sequence, StreamName, chain, header_bytes
 from sync import ProtocolMismatch, WireError
-from sync.wire import BODY_BYTES_MAX, HEADER_BYTES_MAX, PAYLOAD_BYTES_MAX, parse, program
-from sync.wire_v1 import (
+from sync.protocol.wire import BODY_BYTES_MAX, HEADER_BYTES_MAX, PAYLOAD_BYTES_MAX, parse, program
+from sync.protocol.wire_v1 import (
     RECORD_MAGIC,
     Hello,
     Problem,

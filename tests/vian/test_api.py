@@ -6,9 +6,9 @@ import uvicorn
 from fastapi import FastAPI
 
 from store import Log, LogUnavailable
-from sync.grants import Grants, token_hash
+from sync.protocol.grants import Grants, token_hash
 from tests.vian.samples import append, points
-from vian.api import bind, create_app, serving
+from vian.api import KEEP_ALIVE_S, bind, create_app, serving
 from vian.errors import WorldFailed
 from vian.version import VERSION
 
@@ -24,6 +24,12 @@ def test_health_says_where_the_log_stands(log: Log) -> None:
     with served(log) as address:
         answer = httpx.get(f"{address}/health")
     assert answer.json() == {"status": "ok", "version": VERSION, "position": 1}
+
+
+def test_a_connection_outlives_a_stations_use_of_it() -> None:
+    expiry_s = httpx.Limits().keepalive_expiry
+    assert expiry_s is not None
+    assert expiry_s < KEEP_ALIVE_S
 
 
 @pytest.mark.parametrize("grants", [None, Grants({"brno": token_hash(TOKEN)})])

@@ -8,12 +8,12 @@ import pytest
 
 from events import station_name
 from store import Log
-from sync.access import Caller
-from sync.answering import QuestionLimits
+from sync.central.access import Caller
+from sync.central.answering import QuestionLimits
 from sync.errors import BadAnswer, CentralError, CentralFailed, CentralUnreachable, Refused
-from sync.questions import Answer, AnswerColumn, FindQuestion, QueryQuestion
-from sync.reports import CHECKPOINT, Status
-from sync.wire import parse
+from sync.protocol.questions import Answer, AnswerColumn, FindQuestion, QueryQuestion
+from sync.protocol.reports import CHECKPOINT, Status
+from sync.protocol.wire import parse
 from tests.sync.asking import EVERYBODY, answering, plate, project, tell
 from tests.sync.conftest import NOON
 from vian.asking import Found, find_at_central, find_here, query_at_central, table_of

@@ -20,12 +20,12 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from events import CorruptSegment, Header, Position, Segment, StreamName, chain, encode, events_of, station_name
 from events import decode as decode_events
 from store import Log, StationKey
-from sync.access import Access
-from sync.central import Limits, router
-from sync.enrolment import Enrol, new_secret
-from sync.refusals import Refusals
-from sync.signing import RequestSigner
-from sync.wire import PATH, Hello, Record, encode_records
+from sync.central.access import Access
+from sync.central.refusals import Refusals
+from sync.central.router import Limits, router
+from sync.protocol.enrolment import Enrol, new_secret
+from sync.protocol.signing import RequestSigner
+from sync.protocol.wire import PATH, Hello, Record, encode_records
 from tests.vian.samples import GATE, PRODUCER, START, points
 from vian.api import bind, create_app, serving
 from vian.clock import utc_now
@@ -131,12 +131,12 @@ def central(log: Log, tmp_path: Path) -> Iterator[Served]:
 
 
 @contextmanager
-def central_at(log: Log, folder: Path, key: StationKey) -> Iterator[Served]:
+def central_at(log: Log, folder: Path, key: StationKey, limits: Limits = LIMITS) -> Iterator[Served]:
     certificate = own_certificate(folder)
     access = Access(log, CENTRAL, key, now=utc_now)
     refusals = Refusals(log, CENTRAL, utc_now, lambda: 0.0)
     app = create_app(log)
-    app.include_router(router(log, None, LIMITS, access=access, note=refusals.note))
+    app.include_router(router(log, None, limits, access=access, note=refusals.note))
     with serving(app, bind("127.0.0.1", 0), certificate) as address:
         yield Served(log, access, refusals, address, certificate.certificate.read_text())
 
@@ -266,21 +266,44 @@ def test_a_station_revoked_between_two_requests_is_out(central: Served, brno: Cl
 
 
 def test_a_station_revoked_while_its_body_comes_stores_nothing(central: Served, brno: Client) -> None:
-    request = brno.request("segments", one_segment())
-    head = "".join(f"{name}: {value}\r\n" for name, value in request.headers.items())
-    with tls_connection(central) as connection:
-        connection.sendall(f"POST {PATH}/segments HTTP/1.1\r\n{head}\r\n".encode() + request.content[:-1])
-        numbers = "select max(newest) from sync_tokens"
-        for _ in range(10_000):  # the request was let in when its number is taken
-            with central.log.connection() as watched:
-                if watched.execute(numbers).fetchone() == (1,):
-                    break
+    with half_sent(central, brno) as (connection, rest):
         central.access.registry.revoke("brno")
-        connection.sendall(request.content[-1:])
+        connection.sendall(rest)
         answer = connection.recv(65536)
     assert answer.startswith(b"HTTP/1.1 401 ")
     assert central.stored == 0
     assert central.recorded() == [("brno", "segments", "revoked", 1)]
+
+
+@contextmanager
+def half_sent(central: Served, client: Client) -> Iterator[tuple[ssl.SSLSocket, bytes]]:
+    """A request that was let in, but for the last byte of its body."""
+    request = client.request("segments", one_segment())
+    head = "".join(f"{name}: {value}\r\n" for name, value in request.headers.items())
+    with tls_connection(central) as connection:
+        connection.sendall(f"POST {PATH}/segments HTTP/1.1\r\n{head}\r\n".encode() + request.content[:-1])
+        numbers = "select max(newest) from sync_tokens"
+        for _ in range(10_000):  # it was let in when its number is taken
+            with central.log.connection() as watched:
+                if watched.execute(numbers).fetchone() == (1,):
+                    break
+        yield connection, request.content[-1:]
+
+
+def test_a_station_does_not_fill_memory_with_requests(log: Log, tmp_path: Path) -> None:
+    limits = replace(LIMITS, requests_max=1, idle_s_max=30)
+    with central_at(log, tmp_path, CENTRAL_KEY, limits) as central:
+        central.enrol("brno", KEY)
+        brno = Client(central)
+        brno.hello()
+        with half_sent(central, brno) as (connection, rest):
+            while (answer := brno.send()).status_code == 200:  # the number is taken just before the body is held
+                pass
+            assert told(answer, 429) == "too_many_requests"
+            connection.sendall(rest)
+            assert connection.recv(65536).startswith(b"HTTP/1.1 200 ")
+        assert brno.send().status_code == 200
+        central.close()
 
 
 def test_a_body_of_a_gigabyte_is_refused_early_and_memory_stays(central: Served, brno: Client) -> None:

@@ -19,8 +19,8 @@ from fastapi.responses import HTMLResponse
 
 from events import station_name
 from store import Log
-from sync.enrolment import new_secret
-from sync.refusals import Refusals
+from sync.central.refusals import Refusals
+from sync.protocol.enrolment import new_secret
 from tests.conftest import MakeLog
 from tests.vian.conftest import Ran, Run
 from tests.vian.samples import append, heads, points

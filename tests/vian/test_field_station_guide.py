@@ -7,8 +7,8 @@ import pytest
 
 from events import Catalogue
 from store import Log
-from sync.checking import check_filters, warnings_of
-from sync.plan import Plan
+from sync.plans.checking import check_filters, warnings_of
+from sync.plans.plan import Plan
 from tests.vian.conftest import Run
 from tests.vian.samples import objects
 from vian.settings import load_settings

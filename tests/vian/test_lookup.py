@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from events import Catalogue
 from store import Log
-from sync.lookup import like, plate_key
-from sync.questions import FindQuestion
+from sync.central.lookup import like, plate_key
+from sync.protocol.questions import FindQuestion
 from tests.conftest import Server
 from tests.sync.asking import find, plate, project, situation, tell
 from tests.sync.conftest import NOON

@@ -8,8 +8,8 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from events import station_name
 from store import Log, LogUnavailable
-from sync.contacts import Contacts
-from sync.registry import Registry
+from sync.central.contacts import Contacts
+from sync.central.registry import Registry
 from tests.sync.test_contacts import hello
 from tests.vian.samples import GATE, START, append, points
 from vian.api import bind, create_app, serving

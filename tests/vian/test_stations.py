@@ -6,7 +6,7 @@ import pytest
 from structlog.testing import capture_logs
 
 from events import InvalidName
-from sync.grants import token_hash
+from sync.protocol.grants import token_hash
 from vian.errors import WorldFailed, WrongUsage
 from vian.stations import StationsFile, add_station, read_grants, read_token, write_private
 

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import typer
 from pydantic import ValidationError
 
-from sync.questions import ROWS_MAX, FindQuestion
+from sync.protocol.questions import ROWS_MAX, FindQuestion
 from vian import options
 from vian.asking import Found, find_at_central, find_here, person
 from vian.clock import utc_now

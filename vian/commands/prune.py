@@ -5,7 +5,7 @@ from typing import Annotated
 import typer
 
 from store.payloads import log_bytes
-from sync.pruning import Span
+from sync.keeping.pruning import Span
 from vian import options
 from vian.clock import utc_now
 from vian.errors import WrongUsage

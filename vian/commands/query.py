@@ -104,7 +104,7 @@ def _check_central(at_central: bool, limit: int | None, scope: object) -> None:
 def _at_central(log: Log, settings: Settings, sql: str, limit: int | None, output: Output) -> pa.Table:
     """Central's answer; what it leaves out is told."""
     # All of sync and HTTP, which queries of this log need not wait for.
-    from sync.questions import SQL_LENGTH_MAX, QueryQuestion
+    from sync.protocol.questions import SQL_LENGTH_MAX, QueryQuestion
     from vian.asking import person, query_at_central
     from vian.desk import central_desk, enrolment
 

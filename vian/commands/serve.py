@@ -21,9 +21,9 @@ from fastapi import FastAPI
 from events import station_name
 from patterns.engine.compiling import compiling_beside
 from store import Log, Projector
-from sync.access import Access
-from sync.grants import Grantor
-from sync.refusals import Refusals
+from sync.central.access import Access
+from sync.central.refusals import Refusals
+from sync.protocol.grants import Grantor
 from vian import logs, options
 from vian.admission import access_for, certificate_of, refusals_for, refusals_part
 from vian.api import bind, create_app, serving

@@ -8,8 +8,8 @@ import typer
 
 from events import station_name
 from store import make_key
-from sync.access import EVERY_STATION, FIND, OPERATIONS, REPLICATE
-from sync.enrolment import parse_code
+from sync.central.access import EVERY_STATION, FIND, OPERATIONS, REPLICATE
+from sync.protocol.enrolment import parse_code
 from vian import options
 from vian.admission import invited, registry_for
 from vian.enrolling import enrol_at

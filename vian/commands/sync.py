@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from sync.daemon import Daemon
+from sync.station.daemon import Daemon
 from vian import options
 from vian.commands import sync_doctor, sync_plan, sync_repair, sync_status
 from vian.errors import WrongUsage

@@ -11,12 +11,12 @@ import typer
 
 from events import Station, StreamName, station_name
 from store import Log
-from sync.checking import check_filters, warnings_of
-from sync.plan import Plan
-from sync.plan_values import rate, time_text
-from sync.planning import Planned, planned_in, set_plan
-from sync.preview import EntryPreview, Preview, held_by, preview
-from sync.reports import saved_status
+from sync.plans.checking import check_filters, warnings_of
+from sync.plans.plan import Plan
+from sync.plans.plan_values import rate, time_text
+from sync.plans.planning import Planned, planned_in, set_plan
+from sync.plans.preview import EntryPreview, Preview, held_by, preview
+from sync.protocol.reports import saved_status
 from vian import options
 from vian.clock import utc_now
 from vian.errors import WorldFailed, WrongUsage

@@ -7,7 +7,7 @@ import typer
 
 from events import StreamName
 from store import Log
-from sync.repair import Repaired
+from sync.keeping.repair import Repaired
 from vian import options
 from vian.errors import WorldFailed, WrongUsage
 from vian.options import opened, settings_for

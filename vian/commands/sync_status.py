@@ -12,7 +12,7 @@ from rich.text import Text
 
 from events import station_name
 from store import Log
-from sync.registry import Registry
+from sync.central.registry import Registry
 from vian import options
 from vian.central_view import CentralView, StationRow, central_view, is_central
 from vian.clock import utc_now

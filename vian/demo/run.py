@@ -24,9 +24,9 @@ from patterns.engine.compiling import compiling_beside
 from patterns.files.rule import Rule
 from patterns.processor import Processor, deploy
 from store import Log, Projector, StationKey, Verification, verify
-from sync.access import REPLICATE, Access
-from sync.daemon import Daemon
-from sync.enrolment import new_secret
+from sync.central.access import REPLICATE, Access
+from sync.protocol.enrolment import new_secret
+from sync.station.daemon import Daemon
 from vian.api import bind, create_app, serving
 from vian.demo.clip import Clip
 from vian.demo.report import Facts, write_report

@@ -9,7 +9,7 @@ import pytest
 
 from events import station_name
 from store import Log
-from sync.access import Access
+from sync.central.access import Access
 from tests.sync.asking import audit, plate, project, situation, tell
 from tests.sync.conftest import NOON
 from tests.vian.conftest import Ran, Run

@@ -8,7 +8,7 @@ import pytest
 from events import station_name
 from store import Log
 from sync import Plan
-from sync.planning import planned_in
+from sync.plans.planning import planned_in
 from tests.vian.conftest import Run
 from tests.vian.samples import append, objects, points
 

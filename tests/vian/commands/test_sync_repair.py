@@ -7,7 +7,7 @@ import pytest
 
 from store import Log, verify
 from store.payloads import take_off
-from sync.repair import Wanted
+from sync.keeping.repair import Wanted
 from tests.store.samples import GATE, YARD, append, owner
 from tests.sync.test_repair import BRNO, contents, copy
 from tests.vian.commands.test_station import STATION_DIR, central, enrol, invited, on_central

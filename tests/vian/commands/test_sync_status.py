@@ -12,8 +12,8 @@ from fastapi.responses import HTMLResponse
 
 from events import station_name
 from store import Log
-from sync.refusals import Kind, Refusals
-from sync.reports import CHECKPOINT, Status, StreamStatus
+from sync.central.refusals import Kind, Refusals
+from sync.protocol.reports import CHECKPOINT, Status, StreamStatus
 from tests.conftest import MakeLog
 from tests.vian.conftest import Ran, Run
 from tests.vian.samples import GATE, append, objects, points

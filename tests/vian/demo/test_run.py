@@ -10,7 +10,7 @@ from events import StreamName, SyncPlanned, decode, events_of
 from extractors.scene import street, write
 from patterns.processor import Processor
 from store import Log, verify
-from sync.daemon import Daemon
+from sync.station.daemon import Daemon
 from tests.vian.clips import Walk, write_clip
 from tests.vian.demo.conftest import Stage
 from tests.vian.samples import append, points

@@ -1,0 +1,1 @@
+"""What both sides keep and give back: countersigned checkpoints, pruning, losses, repair."""

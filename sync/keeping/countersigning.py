@@ -1,0 +1,383 @@
+"""Countersigning: central signs that it holds what a station's checkpoint says.
+
+Contract: `countersign` is central's side. It signs only the heads of the checkpoint that it holds from the stream's
+first event on, with that very chain hash. `Countersigning` is the station's side: it asks for its newest checkpoint
+once central holds that, believes nothing but central's signature, and appends it to the station's own log.
+What is signed is laid out in docs/reference/sync.md.
+"""
+
+import json
+import struct
+from collections.abc import Callable, Iterable, Mapping
+from datetime import datetime
+from hashlib import sha256
+
+from events import (
+    CheckpointCountersigned,
+    CheckpointSigned,
+    EventError,
+    Producer,
+    Station,
+    StreamName,
+    batch_of,
+    decode,
+    encode,
+    events_of,
+)
+from events.segment import microseconds, text_bytes
+from store import BadProof, Log, SignedCheckpoint, StationKey, StreamHead
+from store.keys import is_signed
+from store.proof import (
+    ALGORITHM,
+    checkpoint_of,
+    checkpoint_stream,
+    head_rows,
+    heads_hash,
+    key_id,
+    statement_bytes,
+    statement_hash,
+)
+from sync.errors import BadAnswer, Refusal, WireError
+from sync.keeping.held import held_of
+from sync.protocol.wire import Countersigned, CountersignRequest, parse
+from sync.runs import Point, Runs, StreamKey, are_held
+
+MAGIC = b"VIANCSG1"
+SOURCE = "sync"
+PRODUCER = Producer("sync", "2", sha256(b"{}").digest())
+ASK_EVERY_S = 600.0
+"""Time between two questions while central does not hold all of a checkpoint."""
+VOID = "countersigned"
+"""Name of the checkpoint that says up to which position of the station's log countersignatures prove nothing."""
+_LOOK_EVERY_S = 1.0
+_OWN_TYPES = (CheckpointSigned.type_name, CheckpointCountersigned.type_name)
+
+
+def countersigned_bytes(
+    station: str, sequence: int, statement: bytes, held: list[StreamHead], time: datetime, public_key: bytes
+) -> bytes:
+    """What central signs.
+
+    Args:
+        station: Whose checkpoint it is.
+        sequence: Of the event checkpoint_signed.
+        statement: Hash of the station's statement.
+        held: The heads that central holds.
+        time: When it signs.
+        public_key: Central's raw public key.
+    """
+    return b"".join(
+        (
+            MAGIC,
+            text_bytes(station),
+            struct.pack(">Q", sequence),
+            statement,
+            heads_hash(held),
+            struct.pack(">q", microseconds(time)),
+            public_key,
+        )
+    )
+
+
+def is_countersigned(event: CheckpointCountersigned, public_key: bytes) -> bool:
+    """Whether the event's signature is that of central's key, over all that the event says."""
+    try:
+        held = heads_in(event.held)
+        said = countersigned_bytes(
+            event.of_station,
+            event.checkpoint_sequence,
+            bytes.fromhex(event.statement_hash),
+            held,
+            event.time,
+            public_key,
+        )
+    except (ValueError, struct.error):
+        return False
+    is_named = event.key_id == key_id(public_key) and event.algorithm == ALGORITHM
+    return is_named and is_signed(public_key, event.signature, said)
+
+
+def heads_in(text: str) -> list[StreamHead]:
+    """The heads that the JSON text says.
+
+    Raises:
+        ValueError: It says none.
+    """
+    try:
+        return [
+            StreamHead(StreamName.of(station, source, type_), int(epoch), int(sequence), bytes.fromhex(chain_hash))
+            for station, epoch, source, type_, sequence, chain_hash in json.loads(text)
+        ]
+    except (TypeError, EventError) as error:
+        raise ValueError(f"no heads: {error}") from error
+
+
+def countersign(log: Log, station: Station, body: bytes, key: StationKey, now: datetime) -> Countersigned:
+    """Central's signature that it holds what the station's checkpoint says, as far as it does.
+
+    Raises:
+        Refusal: It is no request, the checkpoint is not here or no good, or nothing of it is held.
+        LogUnavailable: The database is away.
+    """
+    try:
+        asked = parse(CountersignRequest, body)
+    except WireError as error:
+        raise Refusal(
+            400, "bad_request", "the body asks for no signature", str(error), "a CountersignRequest", "upgrade ViAn"
+        ) from error
+    stream = checkpoint_stream(station)
+    checkpoint = _checkpoint(log, stream, asked)
+    statement = checkpoint.statement
+    runs = held_of(log, station)
+    held = [head for head in statement.heads if _holds(log, head, runs.get(StreamKey(head.stream, head.epoch), ()))]
+    if not held:
+        raise _not_held(statement.heads[0].stream if statement.heads else stream, asked)
+    digest = statement_hash(statement)
+    said = countersigned_bytes(station, asked.checkpoint_sequence, digest, held, now, key.public)
+    return Countersigned(
+        of_station=station,
+        checkpoint_sequence=asked.checkpoint_sequence,
+        statement_hash=digest.hex(),
+        held=json.dumps(head_rows(held), separators=(",", ":")),
+        key_id=key.id,
+        algorithm=ALGORITHM,
+        signature=key.sign(said).hex(),
+        time=now,
+    )
+
+
+def _checkpoint(log: Log, stream: StreamName, asked: CountersignRequest) -> SignedCheckpoint:
+    """The station's checkpoint, as central holds it.
+
+    Raises:
+        Refusal: It is not here, or its signature does not hold.
+    """
+    segment = next(log.read(stream, asked.checkpoint_sequence, epoch=asked.epoch), None)
+    if segment is None or segment.header.first_sequence > asked.checkpoint_sequence:
+        raise _not_held(stream, asked)
+    try:
+        event = events_of(decode(segment, log.catalogue))[asked.checkpoint_sequence - segment.header.first_sequence]
+        assert isinstance(event, CheckpointSigned), "the stream holds checkpoints only"
+        checkpoint = checkpoint_of(event, stream.station, asked.checkpoint_sequence)
+    except (EventError, BadProof, IndexError) as error:
+        raise _bad_checkpoint(stream, asked, str(error)) from error
+    statement = checkpoint.statement
+    if not is_signed(statement.public_key, checkpoint.signature, statement_bytes(statement)):
+        raise _bad_checkpoint(stream, asked, f"a signature that is not that of key {key_id(statement.public_key)}")
+    return checkpoint
+
+
+def _holds(log: Log, head: StreamHead, runs: Runs) -> bool:
+    """Whether the log holds the stream from its first event up to the head, with that chain hash there."""
+    run = next((run for run in runs if not run.after), None)
+    if run is None or run.sequence < head.sequence or not head.sequence:
+        return False
+    return head.chain_hash == (run.chain_hash if run.sequence == head.sequence else _hash_at(log, head))
+
+
+def _hash_at(log: Log, head: StreamHead) -> bytes | None:
+    """The chain hash of the segment that ends where the head says; None where none does."""
+    stream = head.stream
+    with log.connection() as connection:
+        found = connection.execute(
+            "select g.first_sequence + g.event_count - 1, g.chain_hash from streams s cross join lateral "
+            "(select * from segments g where g.stream_id = s.id and g.first_sequence <= %s "
+            "order by g.first_sequence desc limit 1) g "
+            "where s.station = %s and s.source = %s and s.type = %s and s.epoch = %s",
+            (head.sequence, stream.station, stream.source, stream.type, head.epoch),
+            binary=True,
+        ).fetchone()
+    if found is not None and found[0] >= head.sequence:
+        return bytes(found[1]) if found[0] == head.sequence else None
+    sealed = next(log.read(stream, head.sequence, epoch=head.epoch, with_hollow=True), None)
+    return sealed.chain_hash if sealed is not None and sealed.header.last_sequence == head.sequence else None
+
+
+def _not_held(stream: StreamName, asked: CountersignRequest) -> Refusal:
+    return Refusal(
+        409,
+        "not_held",
+        f"central does not hold what checkpoint {asked.checkpoint_sequence} says",
+        f"stream {stream} is not here up to there",
+        "all that the checkpoint covers",
+        "replicate it, and the stream of checkpoints; then ask again",
+        stream,
+        asked.epoch,
+    )
+
+
+def _bad_checkpoint(stream: StreamName, asked: CountersignRequest, got: str) -> Refusal:
+    return Refusal(
+        422,
+        "bad_checkpoint",
+        f"checkpoint {asked.checkpoint_sequence} is no good",
+        got,
+        "a checkpoint that its station signed",
+        "vian verify on the station",
+        stream,
+        asked.epoch,
+    )
+
+
+class Countersigning:
+    """Has a station's newest checkpoint countersigned, when there is something new in it.
+
+    Args:
+        log: The station's log.
+        station: Whose checkpoints.
+        central_key: Central's public key; None: nothing is asked.
+        monotonic: Seconds that never go back.
+    """
+
+    def __init__(self, log: Log, station: Station, central_key: bytes | None, monotonic: Callable[[], float]) -> None:
+        self._log = log
+        self._key = central_key
+        self._monotonic = monotonic
+        self._checkpoints = checkpoint_stream(station)
+        self._stream = StreamName.of(station, SOURCE, CheckpointCountersigned.type_name)
+        self._seen = 0
+        self._newest: SignedCheckpoint | None = None
+        self._looked_at: float | None = None
+        self._asked_at: float | None = None
+        self._agreed: set[StreamHead] | None = None
+        self.sequence: int | None = None
+        """Of the newest checkpoint that central countersigned."""
+
+    def due(self, heads: Mapping[StreamKey, StreamHead], held: Mapping[StreamKey, Runs]) -> CountersignRequest | None:
+        """What to ask central now, if anything.
+
+        Args:
+            heads: How the station's streams stand here.
+            held: What central holds of them.
+
+        Raises:
+            LogUnavailable: The database is away.
+        """
+        key = StreamKey(self._checkpoints, self._log.epoch)
+        head = heads.get(key)
+        if self._key is None or head is None or not _ends(held.get(key, ()), head):
+            return None
+        if head.sequence > self._seen:
+            self._look(head)
+        at = self._monotonic()
+        if self._newest is None or (self._looked_at is not None and at - self._looked_at < _LOOK_EVERY_S):
+            return None
+        self._looked_at = at
+        if not self._is_worth_it(self._newest, held, at):
+            return None
+        self._asked_at = at
+        return CountersignRequest(epoch=key.epoch, checkpoint_sequence=self._newest.sequence)
+
+    def take(self, answer: Countersigned) -> None:
+        """Append central's signature to the station's log.
+
+        Raises:
+            BadAnswer: It is not central's, or not of what was asked.
+            LogUnavailable: The database is away.
+        """
+        checkpoint = self._newest
+        assert checkpoint is not None, "it was asked for"
+        assert self._key is not None, "it was asked for"
+        assert self._agreed is not None, "it was read with the checkpoint"
+        event = CheckpointCountersigned(
+            time=answer.time,
+            of_station=answer.of_station,
+            checkpoint_sequence=answer.checkpoint_sequence,
+            statement_hash=answer.statement_hash,
+            held=answer.held,
+            key_id=answer.key_id,
+            algorithm=ALGORITHM,
+            signature=bytes.fromhex(answer.signature),
+        )
+        statement = checkpoint.statement
+        is_asked = (event.of_station, event.checkpoint_sequence, event.statement_hash) == (
+            statement.station,
+            checkpoint.sequence,
+            statement_hash(statement).hex(),
+        )
+        if not is_asked or not is_countersigned(event, self._key):
+            self.gave_up()
+            raise BadAnswer(
+                f"central's signature under checkpoint {checkpoint.sequence} is not that of its key "
+                f"{key_id(self._key)}, or of another checkpoint. Next: if central's key was changed: "
+                "vian station enrol again"
+            )
+        # Pruning is what makes room, and it waits for this.
+        self._log.append([encode(self._stream, batch_of([event]), PRODUCER)], from_reserve=True)
+        self.sequence = checkpoint.sequence
+        self._agreed |= _told(heads_in(event.held))
+
+    def heed(self, held: Mapping[StreamKey, Runs]) -> None:
+        """Let no countersignature count that says more than central says that it holds: it lost that.
+
+        Whoever takes payloads off this log then waits until central has signed anew (`sync.keeping.pruning`).
+
+        Raises:
+            LogUnavailable: The database is away.
+        """
+        signed = self._last_signed() if self._key is not None else None
+        if signed is None or all(_ends(held.get(StreamKey(each.stream, each.epoch), ()), each) for each in signed):
+            return
+        position = self._log.head()
+        with self._log.transaction() as transaction:
+            transaction.save_checkpoint(VOID, position)
+        self._agreed, self.sequence = set(), None
+
+    def gave_up(self) -> None:
+        """Central did not sign: the next checkpoint is another chance."""
+        self._newest = None
+
+    def _look(self, head: StreamHead) -> None:
+        """Take in the newest checkpoint."""
+        self._seen = head.sequence
+        self._newest = self._looked_at = None
+        segment = next(self._log.read(head.stream, head.sequence, epoch=head.epoch), None)
+        if segment is None:
+            return
+        try:
+            event = events_of(decode(segment, self._log.catalogue))[-1]
+            assert isinstance(event, CheckpointSigned), "the stream holds checkpoints only"
+            self._newest = checkpoint_of(event, head.stream.station, head.sequence)
+        except (EventError, BadProof):
+            return  # vian verify says what is wrong with it
+        if self._agreed is None:
+            self._agreed = self._agreed_before()
+
+    def _is_worth_it(self, checkpoint: SignedCheckpoint, held: Mapping[StreamKey, Runs], at: float) -> bool:
+        """Whether central holds something of the checkpoint that it has not countersigned yet."""
+        assert self._agreed is not None, "it was read with the checkpoint"
+        told = _told(head for head in checkpoint.statement.heads if head.stream.station == self._stream.station)
+        there = {head for head in told if _ends(held.get(StreamKey(head.stream, head.epoch), ()), head)}
+        if there <= self._agreed:
+            return False
+        return there == told or self._asked_at is None or at - self._asked_at >= ASK_EVERY_S
+
+    def _agreed_before(self) -> set[StreamHead]:
+        """What the log says was countersigned last."""
+        return _told(self._last_signed() or ())
+
+    def _last_signed(self) -> list[StreamHead] | None:
+        """The heads of the newest countersignature that counts; None where there is none."""
+        lives = self._log.lives(self._stream)
+        if not lives:
+            return None
+        (segment,) = self._log.read(self._stream, lives[-1].sequence, epoch=lives[-1].epoch)
+        if segment.position <= self._log.checkpoint(VOID).position:
+            return None
+        try:
+            event = events_of(decode(segment, self._log.catalogue))[-1]
+            assert isinstance(event, CheckpointCountersigned), "the stream holds these only"
+            heads = heads_in(event.held)
+        except (EventError, ValueError):
+            return None  # of a newer release: asked anew
+        self.sequence = event.checkpoint_sequence
+        return heads
+
+
+def _ends(runs: Runs, head: StreamHead) -> bool:
+    return are_held(runs, 0, Point(head.sequence, head.chain_hash))
+
+
+def _told(heads: Iterable[StreamHead]) -> set[StreamHead]:
+    """The heads that say something: those of the streams in which signatures are kept grow by signing alone."""
+    return {head for head in heads if head.stream.type not in _OWN_TYPES}

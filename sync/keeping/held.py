@@ -1,0 +1,30 @@
+"""What a log holds of a station's streams, as runs.
+
+Contract: reads only; a stream that holds nothing is not there.
+"""
+
+from collections.abc import Iterable
+
+from events import Station
+from store import Log
+from sync.runs import Runs, StreamKey
+
+
+def held_of(log: Log, station: Station) -> dict[StreamKey, Runs]:
+    """The runs of each of the station's streams in which the log holds events.
+
+    Raises:
+        LogUnavailable: The database is away.
+    """
+    return {StreamKey(*place): tuple(runs) for place, runs in log.all_runs(station=station).items() if runs}
+
+
+def runs_of(log: Log, keys: Iterable[StreamKey]) -> dict[StreamKey, Runs]:
+    """The runs of each of these streams; none where the log holds nothing of it.
+
+    Raises:
+        LogUnavailable: The database is away.
+    """
+    wanted = list(keys)
+    runs = log.some_runs(wanted)
+    return {key: tuple(runs.get(key, ())) for key in wanted}

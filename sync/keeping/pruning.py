@@ -1,0 +1,338 @@
+"""Pruning: payloads that central holds, as its signature proves, leave the station's disk when they are old.
+
+Contract: only what lies below the newest checkpoint that central countersigned, and only where that says of the
+stream the very chain hash that this log has there. What goes is recorded as `segments_pruned` in the transaction that
+takes it off. Streams that prove the log, or that programs read back, stay (`store.payloads.may_leave`). A step does
+one bounded thing; killed between any two, nothing is doubled and nothing goes unrecorded.
+"""
+
+import json
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+from hashlib import sha256
+
+from events import (
+    CheckpointCountersigned,
+    Draft,
+    EventType,
+    Producer,
+    SegmentsPruned,
+    Station,
+    StreamName,
+    batch_of,
+    decode,
+    encode,
+    events_of,
+)
+from store import Log, StreamHead, Transaction
+from store.payloads import Freed, Weight, may_leave, reclaim, take_off, weights
+from store.resealing import Resealer, streams_of
+from store.room import CREDIT, credit_state
+from store.sealed import SealedFile
+from sync.keeping.countersigning import VOID
+
+SOURCE = "sync"
+PRODUCER = Producer("pruner", "1", sha256(b"{}").digest())
+SEGMENTS_MAX = 500
+"""Most segments that one step takes off."""
+BYTES_MAX = 16 * 1024 * 1024
+"""Most bytes of payload that one step takes off, but for a single larger one."""
+SHARE_MIN = 0.25
+"""A sealed file is written anew when at least this share of its payloads can go."""
+RECLAIM_BYTES = 128 * 1024 * 1024
+"""Bytes taken off after which the log is let use their room, if there is more to come; it costs a pass over indexes."""
+
+Place = tuple[StreamName, int]
+"""A stream and its epoch."""
+IsSigned = Callable[[CheckpointCountersigned], bool]
+"""Whether central's signature of a countersigned checkpoint holds."""
+
+
+@dataclass(frozen=True, slots=True)
+class Held:
+    """Up to where central holds the station's streams, as it signed."""
+
+    statement_hash: str
+    sequences: Mapping[Place, int]
+
+    def holds(self, weight: Weight) -> bool:
+        """Whether central holds the segment."""
+        return weight.last_sequence <= self.sequences.get((weight.stream, weight.epoch), 0)
+
+
+NOTHING_HELD = Held("", {})
+
+
+@dataclass(frozen=True, slots=True)
+class Span:
+    """Segments of one stream, each following the one before."""
+
+    stream: StreamName
+    epoch: int
+    first_sequence: int
+    last_sequence: int
+    segments: int
+    payload_bytes: int
+    time_min: datetime
+    time_max: datetime
+
+
+def spans_of(chosen: Iterable[Weight]) -> list[Span]:
+    """The segments, which come in the order of their streams, as ranges; by stream, epoch and sequence."""
+    spans: list[Span] = []
+    for each in sorted(chosen, key=lambda one: (one.stream, one.epoch, one.first_sequence)):
+        one = Span(each.stream, each.epoch, each.first_sequence, each.last_sequence, 1, each.payload_bytes,
+                   each.time_min, each.time_max)  # fmt: skip
+        if spans and _follows(spans[-1], one):
+            one = _joined(spans.pop(), one)
+        spans.append(one)
+    return spans
+
+
+def _follows(before: Span, span: Span) -> bool:
+    same = (before.stream, before.epoch) == (span.stream, span.epoch)
+    return same and before.last_sequence + 1 == span.first_sequence
+
+
+def _joined(before: Span, span: Span) -> Span:
+    return Span(
+        before.stream,
+        before.epoch,
+        before.first_sequence,
+        span.last_sequence,
+        before.segments + span.segments,
+        before.payload_bytes + span.payload_bytes,
+        min(before.time_min, span.time_min),
+        max(before.time_max, span.time_max),
+    )
+
+
+class Proof:
+    """The newest countersigned checkpoint in the station's log, and what it proves of what central holds.
+
+    A checkpoint whose signature does not hold proves nothing, nor does a head with another chain hash than this
+    log has there, nor what central signed before it lost some of it, as its cursors said
+    (`sync.keeping.countersigning`).
+    """
+
+    def __init__(self, log: Log, station: Station, is_signed: IsSigned) -> None:
+        self._log = log
+        self._stream = StreamName.of(station, SOURCE, CheckpointCountersigned.type_name)
+        self._is_signed = is_signed
+        self._seen: tuple[StreamHead, int] | None = None
+        self.held = NOTHING_HELD
+
+    def look(self) -> bool:
+        """Look for a newer checkpoint; whether there is one.
+
+        Raises:
+            EventError: It cannot be read.
+            LogUnavailable: The database is away.
+        """
+        newest = next(iter(self._log.lives(self._stream)[-1:]), None)
+        if newest is None:
+            return False
+        seen = newest, self._log.checkpoint(VOID).position
+        if seen == self._seen:
+            return False
+        self.held = NOTHING_HELD
+        (segment,) = self._log.read(newest.stream, newest.sequence, epoch=newest.epoch)
+        event = events_of(decode(segment, self._log.catalogue))[-1]
+        is_ours = isinstance(event, CheckpointCountersigned) and event.of_station == self._stream.station
+        counts = segment.position > seen[1]  # else central lost, since it signed, what it held then
+        if isinstance(event, CheckpointCountersigned) and is_ours and counts and self._is_signed(event):
+            self.held = Held(event.statement_hash, dict(_agreed(self._log, event)))
+        self._seen = seen
+        return True
+
+
+def _agreed(log: Log, event: CheckpointCountersigned) -> Iterator[tuple[Place, int]]:
+    """The signed heads at which this log has the same chain hash."""
+    for station, epoch, source, type_name, sequence, chain_hash in json.loads(event.held):
+        stream = StreamName.of(station, source, type_name)
+        segment = next(log.read(stream, sequence, epoch=epoch, with_hollow=True), None)
+        if segment and (segment.header.last_sequence, segment.chain_hash.hex()) == (sequence, chain_hash):
+            yield (stream, epoch), sequence
+
+
+class Pruner:
+    """Takes payloads off a station's log that central holds and that are old. Not for several threads at once."""
+
+    def __init__(self, log: Log, station: Station, after: timedelta, is_signed: IsSigned) -> None:
+        """Build a pruner.
+
+        Args:
+            log: The station's log.
+            station: Whose log it is.
+            after: How long ago a segment was recorded that may go.
+            is_signed: Checks central's signature.
+        """
+        self._log = log
+        self._station = station
+        self._after = after
+        self._proof = Proof(log, station, is_signed)
+        self._position = 0
+        self._to_reclaim = 0
+        self._files: list[SealedFile] = []
+        """sealed files that are still to be looked at below the newest checkpoint"""
+        self._files_seen: dict[int, frozenset[Place]] = {}
+        """which streams of each sealed file could go when it was looked at, by its first position"""
+
+    def step(self, now: datetime) -> bool:
+        """Take off a bounded lot of what may go; whether there may be more.
+
+        Raises:
+            LogUnavailable: The database is away, or the account may not.
+        """
+        lot = self._next(now)
+        if lot is None:
+            self._reclaim()
+            return self._prune_sealed(now)
+        if lot:
+            self._to_reclaim += take_off_held(self._log, self._station, lot, self._proof.held, now).payload_bytes
+        if self._to_reclaim >= RECLAIM_BYTES:
+            self._reclaim()
+        return True
+
+    def outlook(self, now: datetime) -> list[Span]:
+        """What would go now."""
+        position, chosen = self._position, []
+        self._position = 0
+        while (lot := self._next(now)) is not None:
+            chosen += lot
+        self._position = position
+        for file in self._files:
+            chosen += self._chosen(Resealer(self._log, file).weights())
+        return spans_of(chosen)
+
+    def _next(self, now: datetime) -> list[Weight] | None:
+        """The next lot, which may be empty; None where nothing is left for now."""
+        if self._proof.look():
+            self._position = 0
+            self._files = list(self._old_files(now))
+        page = weights(self._log, self._position, now - self._after, SEGMENTS_MAX) if self._proof.held.sequences else []
+        if not page:
+            return None
+        chosen = self._chosen(page)
+        lot = bounded(chosen)
+        self._position = lot[-1].position if len(lot) < len(chosen) else page[-1].position
+        return lot
+
+    def _prune_sealed(self, now: datetime) -> bool:
+        """Take off the next sealed file what may go of it; whether there may be another."""
+        if not self._files:
+            return False
+        file = self._files.pop(0)
+        resealer = Resealer(self._log, file)
+        held_here = resealer.weights()
+        chosen = self._chosen(held_here)
+        if chosen and _size(chosen) >= _size(held_here) * SHARE_MIN:
+            events = pruned(chosen, self._proof.held, now)
+
+            def record(transaction: Transaction, _: Freed) -> None:
+                transaction.append([record_of(self._station, events)], from_reserve=True)
+
+            resealer.take_off({each.position for each in chosen}, record)
+        return True
+
+    def _old_files(self, now: datetime) -> Iterator[SealedFile]:
+        """The sealed files that are old enough and of which more may go than when they were looked at last."""
+        for file in self._log.archive.files() if self._proof.held.sequences else ():
+            if file.sealed_at >= now - self._after:
+                return
+            may_go = frozenset(
+                (each.stream, each.epoch)
+                for each in streams_of(self._log, file)
+                if may_leave(each.stream)
+                and each.last_sequence <= self._proof.held.sequences.get((each.stream, each.epoch), 0)
+            )
+            if may_go - self._files_seen.get(file.first_position, frozenset()):
+                self._files_seen[file.first_position] = may_go
+                yield file
+
+    def _chosen(self, given: Iterable[Weight]) -> list[Weight]:
+        return [each for each in given if may_leave(each.stream) and self._proof.held.holds(each)]
+
+    def _reclaim(self) -> None:
+        if self._to_reclaim:
+            reclaim(self._log)
+            self._to_reclaim = 0
+
+
+def _size(chosen: Iterable[Weight]) -> int:
+    return sum(each.payload_bytes for each in chosen)
+
+
+def bounded(chosen: Sequence[Weight]) -> list[Weight]:
+    """The first of them that together have at most `BYTES_MAX`, one at least."""
+    lot: list[Weight] = []
+    size = 0
+    for each in chosen:
+        size += each.payload_bytes
+        if lot and size > BYTES_MAX:
+            break
+        lot.append(each)
+    return lot
+
+
+def take_off_held(
+    log: Log, station: Station, lot: Sequence[Weight], held: Held, now: datetime, *, credit: int | None = None
+) -> Freed:
+    """Take off what central holds, and record it; see `take_off_recorded`."""
+    return take_off_recorded(log, station, lot, pruned(lot, held, now), credit=credit)
+
+
+def pruned(lot: Sequence[Weight], held: Held, now: datetime) -> list[SegmentsPruned]:
+    """What is said of a lot that goes because central holds it."""
+    return [
+        SegmentsPruned(
+            time=now,
+            stream=str(span.stream),
+            stream_epoch=span.epoch,
+            first_sequence=span.first_sequence,
+            last_sequence=span.last_sequence,
+            segments=span.segments,
+            payload_bytes=span.payload_bytes,
+            statement_hash=held.statement_hash,
+        )
+        for span in spans_of(lot)
+    ]
+
+
+def take_off_recorded(
+    log: Log, station: Station, lot: Sequence[Weight], events: Sequence[EventType], *, credit: int | None = None
+) -> Freed:
+    """Take the lot off and record the events in one transaction; nothing of both where another was faster.
+
+    Args:
+        log: The log.
+        station: Whose log it is.
+        lot: What is to go.
+        events: What is said of it.
+        credit: Bytes that were taken off before and not used again, where these are counted (`store.room`).
+
+    Raises:
+        LogUnavailable: The database is away, or the account may not.
+    """
+    at = log.head()
+    try:
+        with log.transaction() as transaction:
+            freed = take_off(transaction, [each.position for each in lot])
+            if freed.segments != len(lot):
+                raise _Overtaken
+            if credit is not None:
+                transaction.save_checkpoint(CREDIT, at, credit_state(credit + freed.payload_bytes))
+            transaction.append([record_of(station, events)], from_reserve=True)
+    except _Overtaken:
+        return Freed(0, 0)
+    return freed
+
+
+class _Overtaken(Exception):
+    """Another took some of it off meanwhile."""
+
+
+def record_of(station: Station, events: Sequence[EventType]) -> Draft:
+    """The events, all of one type, as a draft for the station's stream of such records."""
+    return encode(StreamName.of(station, SOURCE, type(events[0]).type_name), batch_of(list(events)), PRODUCER)
