@@ -15,7 +15,7 @@ from sync.protocol.wire import PATH, M, Problem, parse
 from sync.station.unreachable import why_unreachable
 from vian.errors import WorldFailed
 from vian.membership import Membership
-from vian.tls import station_context
+from vian.tls import AGAIN, station_context
 
 _SECONDS_MAX = 30.0
 _ANSWER_BYTES_MAX = 64 * 1024
@@ -60,7 +60,7 @@ def _answer(client: httpx.Client, url: httpx.URL, body: bytes) -> Enrolled:
                 if len(data) > _ANSWER_BYTES_MAX:
                     raise WorldFailed(_not_central(url, f"an answer of more than {_ANSWER_BYTES_MAX} bytes"))
     except httpx.HTTPError as error:
-        raise WorldFailed(f"central at {url} cannot be reached: {why_unreachable(error)}") from error
+        raise WorldFailed(f"central at {url} cannot be reached: {why_unreachable(error, AGAIN)}") from error
     if response.status_code == 200:
         return _parsed(Enrolled, bytes(data), url, response)
     problem = _parsed(Problem, bytes(data), url, response)

@@ -17,10 +17,13 @@ from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption,
 from cryptography.x509.oid import NameOID
 
 from sync.protocol.enrolment import pin_of
+from sync.station.unreachable import why_unreachable
 from vian.errors import WorldFailed, WrongUsage
 from vian.stations import write_private
 
 CERTIFICATE_NAME = "central-tls.pem"
+AGAIN = "then give the same command again"
+"""What to do once central is back, where nobody waits for it."""
 _NO_BEGIN = datetime(1970, 1, 1, tzinfo=UTC)
 _NO_END = datetime(9999, 12, 31, 23, 59, 59, tzinfo=UTC)
 """RFC 5280, section 4.1.2.5: the time of a certificate that has no end."""
@@ -94,8 +97,7 @@ def fetched_certificate(host: str, port: int, pin: bytes) -> str:
         pem = ssl.get_server_certificate((host, port), timeout=15.0)
     except OSError as error:
         raise WorldFailed(
-            f"central at {host} port {port} shows no certificate: {error}. "
-            "Next: check address and port; central makes one with vian serve --role central --tls generate"
+            f"central at {host} port {port} shows no certificate: {why_unreachable(error, AGAIN)}"
         ) from error
     if certificate_pin(pem) != pin:
         raise WorldFailed(

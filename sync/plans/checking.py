@@ -3,12 +3,12 @@
 Contract: pure; a filter that does not fit is a PlanError, an entry that never applies a warning.
 """
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from fnmatch import fnmatchcase
 
 import duckdb
 
-from events import Catalogue, EventType
+from events import Catalogue, EventType, StreamName
 from sync.errors import PlanError
 from sync.plans.entries import Entry
 from sync.plans.filtering import Sieve, database
@@ -54,6 +54,22 @@ def warnings_of(plan: Plan) -> list[str]:
                 f"entries[{number}] ({entry.stream}) never applies: entries[{earlier}] stands before it, and its "
                 f"pattern {plan.entries[earlier].stream} takes all of its streams. Next: put it first, or take it out"
             )
+    return found
+
+
+def unmatched(plan: Plan, streams: Collection[StreamName], catalogue: Catalogue) -> list[str]:
+    """The entries that fit no stream of those: right before anything is recorded, else perhaps a slip."""
+    found = []
+    for number, entry in enumerate(plan.entries):
+        if any(map(entry.fits, streams)):
+            continue
+        kind = entry.stream.split("/")[2]
+        is_known = any(fnmatchcase(str(each.type_name), kind) for each in catalogue)
+        slip = "" if is_known else f", and no event type that is installed here fits {kind}"
+        found.append(
+            f"entries[{number}] ({entry.stream}) fits no stream of this station yet{slip}. "
+            f"Next, if it is a slip: {'vian streams' if is_known else 'vian events'}"
+        )
     return found
 
 

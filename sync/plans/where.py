@@ -71,7 +71,7 @@ def parse(text: str) -> Where:
     except ParseError as error:
         first = error.errors[0] if error.errors else {}
         place = _offset_of(text, first.get("line") or 1, first.get("col") or 1)
-        raise WhereError(_placed(text, place, str(first.get("description") or "this is no condition"))) from error
+        raise WhereError(_placed(text, place, _without_names(first.get("description")))) from error
     except TokenError as error:
         raise WhereError(_placed(text, 0, "a quote or a bracket is not closed")) from error
     except RecursionError as error:
@@ -84,6 +84,12 @@ def parse(text: str) -> Where:
         raise WhereError(_placed(text, 0, f"this is nested deeper than {DEPTH_MAX}; shorten it, with IN perhaps"))
     _check_nodes(where)
     return where
+
+
+def _without_names(said: object) -> str:
+    """What the parser said, unless it names its own classes."""
+    text = str(said or "this is no condition")
+    return "something is missing here" if text.startswith("Required keyword") else text
 
 
 def _check_tokens(text: str, tokens: list[Token]) -> None:

@@ -9,7 +9,7 @@ import ssl
 
 import httpx
 
-_GOES_ON = "nothing is lost, it goes on by itself when central is back"
+GOES_ON = "nothing is lost, it goes on by itself when central is back"
 
 _CERTIFICATE = {
     9: ("its certificate is not valid yet", "set this machine's clock: timedatectl"),
@@ -30,8 +30,13 @@ _NEXT = {
 }
 
 
-def why_unreachable(error: httpx.HTTPError) -> str:
-    """What happened, and what to do next."""
+def why_unreachable(error: httpx.HTTPError | OSError, afterwards: str = GOES_ON) -> str:
+    """What happened, and what to do next.
+
+    Args:
+        error: What was raised.
+        afterwards: What becomes of what was asked for, once central is back.
+    """
     cause = _cause(error)
     if isinstance(cause, ssl.SSLCertVerificationError):
         what, then = _CERTIFICATE.get(cause.verify_code, (f"its certificate does not hold: {cause.verify_message}", ""))
@@ -39,12 +44,12 @@ def why_unreachable(error: httpx.HTTPError) -> str:
     if isinstance(cause, ssl.SSLError):
         return f"what answers speaks no TLS that is understood here ({_said(cause)}). Next: check address and port"
     if isinstance(cause, socket.gaierror):
-        return f"its name does not resolve ({_said(cause)}). Next: check the address, the link and DNS; {_GOES_ON}"
+        return f"its name does not resolve ({_said(cause)}). Next: check the address, the link and DNS; {afterwards}"
     if isinstance(cause, ConnectionRefusedError):
-        return f"nothing listens there (connection refused). Next: vian serve --role central there; {_GOES_ON}"
+        return f"nothing listens there (connection refused). Next: vian serve --role central there; {afterwards}"
     if isinstance(error, httpx.ProxyError):
-        return f"the proxy refuses ({_said(error)}). Next: check HTTPS_PROXY and NO_PROXY; {_GOES_ON}"
-    return f"{_said(error)}. Next: check address and link; {_GOES_ON}"
+        return f"the proxy refuses ({_said(error)}). Next: check HTTPS_PROXY and NO_PROXY; {afterwards}"
+    return f"{_said(error)}. Next: check address and link; {afterwards}"
 
 
 def _cause(error: BaseException) -> BaseException:
@@ -59,4 +64,4 @@ def _cause(error: BaseException) -> BaseException:
 
 def _said(error: BaseException) -> str:
     line = " ".join(str(error).split())
-    return "".join(letter if letter.isprintable() else "?" for letter in line)[:300] or type(error).__name__
+    return "".join(letter if letter.isprintable() else "?" for letter in line)[:300].rstrip(".") or type(error).__name__

@@ -6,6 +6,8 @@ from typing import Annotated
 
 import typer
 
+from events import station_name
+from sync.plans.planning import planned_in
 from sync.station.daemon import Daemon
 from vian import options
 from vian.commands import sync_doctor, sync_plan, sync_repair, sync_status
@@ -72,6 +74,8 @@ def sync(
                 while parts.wait(1.0):
                     pass
         report(output, daemon)
+        if once and (planned := planned_in(log, station_name(settings.station))) and planned.plan.paused:
+            output.note("the plan is paused: nothing was sent. Next: vian sync plan resume")
 
 
 def _check_alone(context: typer.Context) -> None:

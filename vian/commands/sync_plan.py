@@ -11,7 +11,7 @@ import typer
 
 from events import Station, StreamName, station_name
 from store import Log
-from sync.plans.checking import check_filters, warnings_of
+from sync.plans.checking import check_filters, unmatched, warnings_of
 from sync.plans.plan import Plan
 from sync.plans.plan_values import rate, time_text
 from sync.plans.planning import Planned, planned_in, set_plan
@@ -68,8 +68,11 @@ def set_(
     with _at(data_dir, dsn, station) as (settings, log, name):
         check_filters(plan.resolved(utc_now()), log.catalogue)
         planned = _set(log, settings, name, plan)
+        in_vain = unmatched(plan, [head.stream for head in log.streams()], log.catalogue)
     for warning in warnings_of(plan):
         output.note(f"warning: {warning}")
+    for note in in_vain:
+        output.note(note)
     if settings.plan is not None and settings.plan.resolve() != file.resolve():
         output.note(f"vian sync and vian serve set {settings.plan} at their next start, for the settings name it")
     if planned.plan.paused:

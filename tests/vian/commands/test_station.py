@@ -166,14 +166,19 @@ def test_an_address_that_will_not_do_is_told(central: str, on_central: Run, run:
         ("http://192.0.2.7:8470", 2, "the address https://192.0.2.7:8470"),
         ("central.example", 2, "must be an address such as https://central.example:8470, got 'central.example'"),
         ("ftp://central.example", 2, "must be an address such as"),
-        ("https://nowhere.invalid:8470", 1, "nowhere.invalid port 8470 shows no certificate"),
-        ("https://127.0.0.1:9", 1, "127.0.0.1 port 9 shows no certificate"),
+        (
+            "https://nowhere.invalid:8470",
+            1,
+            "nowhere.invalid port 8470 shows no certificate: its name does not resolve",
+        ),
+        ("https://127.0.0.1:9", 1, "port 9 shows no certificate: nothing listens there (connection refused)"),
         ("http://127.0.0.1:9", 1, "nothing listens there (connection refused). Next: vian serve --role central"),
         ("http://nowhere.localhost.:9", 2, "must be reached over https"),
     ):
         ran = enrol(run, one_time_code, address)
         assert (ran.code, ran.out) == (code, "")
         assert said in ran.words
+        assert "goes on by itself" not in ran.words
     assert not JOINED.exists()
 
 

@@ -65,6 +65,15 @@ def test_sync_follows_its_plan(station: Log, central: Log, address: str, run: Ru
     assert list(heads(central)) == ["brno/yard/track_point"]
 
 
+def test_sync_once_says_that_the_plan_is_paused(station: Log, central: Log, address: str, run: Run) -> None:
+    assert run("sync", "plan", "pause", "--dsn", station.dsn, "--station", "brno").code == 0
+    options = ("--dsn", station.dsn, "--station", "brno", "--central", address, "--token-file", TOKEN, "--once")
+    ran = run("sync", *options)
+    assert ran.code == 0
+    assert "the plan is paused: nothing was sent. Next: vian sync plan resume" in ran.words
+    assert heads(central) == {}
+
+
 def test_sync_sends_what_a_filter_leaves_and_goes_on_with_the_plan_that_was_set(
     station: Log, central: Log, address: str, run: Run
 ) -> None:

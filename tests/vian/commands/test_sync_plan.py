@@ -138,3 +138,12 @@ def test_a_rate_that_is_none_is_told(options: tuple[str, ...], run: Run) -> None
     ran = run("sync", "plan", "preview", "plan.yaml", *options, "--rate", "fast")
     assert ran.code == 2
     assert "--rate must be a rate such as 800 kbit/s or 1.5 Mbit/s" in ran.words
+
+
+def test_an_entry_that_fits_no_stream_is_told(log: Log, options: tuple[str, ...], run: Run) -> None:
+    Path("plan.yaml").write_text("entries: [{stream: '*/*/plate_rea'}, {stream: '*/*/plate_read'}, {stream: '*/*/*'}]")
+    ran = run("sync", "plan", "set", "plan.yaml", *options)
+    assert (ran.code, plans(log)) == (0, 1)
+    assert "entries[0] (*/*/plate_rea) fits no stream of this station yet, and no event type" in ran.words
+    assert "entries[1] (*/*/plate_read) fits no stream of this station yet. Next" in ran.words
+    assert "entries[2]" not in ran.words
