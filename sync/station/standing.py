@@ -113,6 +113,9 @@ class Standing:
         assert self.runs is not None, "nothing is in doubt"
         assert self.acknowledged is not None, "central has said what it holds"
         for key, runs in told.items():
+            # Of two answers the older may be taken in last: what the newer one said holds on.
+            for run in self.acknowledged.get(key, ()):
+                runs = with_range(runs, Point(run.after, run.after_hash), Point(run.sequence, run.chain_hash))
             self.acknowledged[key] = runs
             for each in under_way:
                 if each.key == key:
