@@ -189,7 +189,7 @@ def _appended(log: Log, groups: Sequence[Sequence[Segment]]) -> float:
     """Seconds for appending the groups of segments, a commit each, as central does."""
     prepared = [
         (
-            [draft_of(each) for each in group],
+            [each.draft() for each in group],
             [each.header.first_sequence - 1 for each in group],
             [each.header.epoch for each in group],
             [each.chain_hash for each in group],
@@ -200,21 +200,6 @@ def _appended(log: Log, groups: Sequence[Sequence[Segment]]) -> float:
     for drafts, expected, epochs, chain_hashes in prepared:
         log.append(drafts, expected, epochs=epochs, chain_hashes=chain_hashes)
     return time.perf_counter() - began
-
-
-def draft_of(segment: Segment) -> Draft:
-    """The segment as it was before it was in a log."""
-    header = segment.header
-    return Draft(
-        stream=header.stream,
-        event_count=header.event_count,
-        schema_version=header.schema_version,
-        time_min=header.time_min,
-        time_max=header.time_max,
-        producer=header.producer,
-        payload=segment.payload,
-        payload_hash=segment.payload_hash,
-    )
 
 
 @contextmanager

@@ -141,6 +141,20 @@ class Segment:
         """Whether the payload is the one that was hashed, or is not here at all."""
         return not self.payload or hashlib.sha256(self.payload).digest() == self.payload_hash
 
+    def draft(self) -> Draft:
+        """The segment without the place that a log gave it, to be appended to another."""
+        header = self.header
+        return Draft(
+            stream=header.stream,
+            event_count=header.event_count,
+            schema_version=header.schema_version,
+            time_min=header.time_min,
+            time_max=header.time_max,
+            producer=header.producer,
+            payload=self.payload,
+            payload_hash=self.payload_hash,
+        )
+
 
 def encode(stream: StreamName, batch: EventBatch, producer: Producer) -> Draft:
     """The batch as a draft of the stream's next segment.

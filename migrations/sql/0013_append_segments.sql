@@ -17,6 +17,7 @@
 -- Gaps:       where a stream was begun behind its first event, a row of stream_bases says behind which one and how far
 --             the run below has come. A segment goes on with the run at the head, or with a run below a base, at most
 --             up to the base, where the chain hash must come out as the base's.
+-- Hollow:     a segment whose payload comes with no bytes is stored without payload; its hash is of the one it had.
 -- Sealed:     a re-sent segment whose place lies in a sealed file is refused with VA007, or, where the caller says
 --             p_sealed_is_compared, answered as a duplicate without position: the caller compares it with the
 --             file before it commits.
@@ -59,7 +60,6 @@ declare
   above      stream_bases;
   after_hash bytea;
   last       bigint;
-  is_apart   boolean;
   is_held    boolean;
   jumps      integer[] := '{}';
   new_count  integer := 0;
@@ -94,8 +94,10 @@ begin
   for i in 1 .. n loop
     s := p_stream[i];
     sent_hash := substring(p_payload_hashes from 32 * i - 31 for 32);
-    is_apart := p_expected[i] <> sequences[s];
-    if is_apart then
+    after_hash := heads[s];
+    is_held := false;
+    above := null;
+    if p_expected[i] <> sequences[s] then
       -- The base at the upper end of the gap that it lies in, if it lies in one.
       select * into above from stream_bases b
         where b.stream_id = ids[s] and b.filled_sequence < b.sequence and b.sequence > p_expected[i]
@@ -114,11 +116,9 @@ begin
             detail = json_build_object('index', i - 1, 'actual', coalesce(above.filled_sequence, sequences[s]));
         end if;
       end if;
-    else
-      after_hash := heads[s];
     end if;
 
-    if is_apart and is_held then
+    if is_held then
       select * into twin from segments g
         where g.stream_id = ids[s] and g.first_sequence <= p_expected[i] + 1
         order by g.first_sequence desc limit 1;
@@ -153,7 +153,7 @@ begin
         || int8send((extract(epoch from p_time_max[i]) * 1000000)::bigint)
         || suffixes[p_by[i]] || sent_hash);
       new_count := new_count + 1;
-      if is_apart and above.sequence is not null then
+      if above.sequence is not null then
         if last > above.sequence then
           raise exception 'stream % is here already from %', ids[s], above.sequence + 1
             using errcode = 'VA001', detail = json_build_object('index', i - 1, 'actual', above.filled_sequence,
@@ -166,13 +166,13 @@ begin
         update stream_bases b set filled_sequence = last, filled_hash = chains[i]
           where b.stream_id = ids[s] and b.sequence = above.sequence;
       end if;
-      if is_apart and p_expected[i] <> coalesce(above.filled_sequence, sequences[s]) then
+      if p_expected[i] <> coalesce(above.filled_sequence, sequences[s]) then
         jumps := jumps || i;
         insert into stream_bases (stream_id, sequence, chain_hash, position, filled_sequence, filled_hash)
           values (ids[s], p_expected[i], after_hash, 0, coalesce(above.filled_sequence, sequences[s]),
             coalesce(above.filled_hash, heads[s]));
       end if;
-      if is_apart is not true or above.sequence is null then
+      if above.sequence is null then
         sequences[s] := last;
         heads[s] := chains[i];
       end if;
@@ -195,7 +195,7 @@ begin
         recorded_at, producer, producer_version, configuration_hash, payload, payload_hash, chain_hash)
       select last_position - new_count + row_number() over (order by i), ids[st], fs, ec, sv, tmin, tmax, now_at,
         p_producer[pr], p_version[pr], p_configuration[pr],
-        substring(p_payloads from ends::integer - len + 1 for len), substring(p_payload_hashes from 32 * i::integer - 31 for 32), ch
+        nullif(substring(p_payloads from ends::integer - len + 1 for len), ''::bytea), substring(p_payload_hashes from 32 * i::integer - 31 for 32), ch
       from (
         select *, sum(len) over (order by i) as ends
         from unnest(p_stream, p_by, firsts, p_event_count, p_schema_version, p_time_min, p_time_max, p_payload_length,

@@ -16,8 +16,8 @@ depends_on = None
 _FUNCTIONS = ("prune_segments", "restore_payload", "repair_segments", "plan_resealing", "reseal_file")
 
 
-def _sql(name: str, of: str = "0014") -> str:
-    return files("migrations").joinpath("sql", f"{of}_{name}.sql").read_text(encoding="utf-8").replace(":", r"\:")
+def _sql(name: str) -> str:
+    return files("migrations").joinpath("sql", f"0014_{name}.sql").read_text(encoding="utf-8").replace(":", r"\:")
 
 
 def upgrade() -> None:
@@ -38,7 +38,6 @@ def upgrade() -> None:
     _set_path()
     for name in ("refuse_rewriting", *_FUNCTIONS):
         op.execute(_sql(name))
-    _replace_append("0014")
     op.execute("drop trigger segments_no_update on segments")
     _refuse("segments", "update", "refuse_rewriting")
     op.execute("drop trigger sealed_files_no_update on sealed_files")
@@ -62,18 +61,9 @@ def downgrade() -> None:
     op.execute("revoke execute on function forget_sealing from vian_pruner")
     for name in (*_FUNCTIONS, "refuse_rewriting"):
         op.execute(f"drop function {name}")
-    _set_path()
-    _replace_append("0013")
     op.drop_column("archive_head", "is_rewriting")
     op.alter_column("segments", "payload", nullable=False, comment="zstd of an Arrow record batch")
     op.execute(_schema("revoke usage on schema %I from vian_pruner"))
-
-
-def _replace_append(of: str) -> None:
-    op.execute("drop function append_segments")
-    op.execute(_sql("append_segments", of))
-    op.execute("revoke execute on function append_segments from public")
-    op.execute("grant execute on function append_segments to vian_writer")
 
 
 def _schema(statement: str) -> str:

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from datetime import datetime
 from typing import Protocol
 
-from events import CorruptSegment, Draft, PayloadGone, Segment, Station, StreamName, UnknownType, chain, decode
+from events import CorruptSegment, PayloadGone, Segment, Station, StreamName, UnknownType, chain, decode
 from store import ChainBroken, Log, SequenceConflict, Transaction
 from store.writing import Appended
 from sync.errors import ProtocolMismatch, Refusal, WireError
@@ -48,7 +48,7 @@ class Speaker(Protocol):
 def answer_hello_2(
     log: Log,
     caller: Speaker,
-    body: bytes,
+    hello: Hello,
     *,
     body_bytes_max: int,
     segments_max: int,
@@ -62,7 +62,7 @@ def answer_hello_2(
     Args:
         log: Central's log.
         caller: Whose hello it is.
-        body: The hello.
+        hello: What it says.
         body_bytes_max: Most bytes of a body of segments.
         segments_max: Most segments in one body.
         now: Central's clock.
@@ -71,10 +71,9 @@ def answer_hello_2(
         bits_per_s_max: Most that the station may send; None: no limit.
 
     Raises:
-        Refusal: It is no hello, speaks no version that is known here, or says it is another station.
+        Refusal: It says it is another station.
         LogUnavailable: The database is away.
     """
-    hello = _hello(body)
     check_station(hello.station, caller.station)
     for state in hello.streams:
         check_owner(caller.station, StreamName.parse(state.stream), state.epoch, None)
@@ -214,7 +213,7 @@ def store_records(
         with log.transaction() as transaction:
             still_allowed(transaction)
             return transaction.append(
-                [_draft(record.segment) for record in records],
+                [record.segment.draft() for record in records],
                 [record.segment.header.first_sequence - 1 for record in records],
                 epochs=[record.segment.header.epoch for record in records],
                 chain_hashes=[record.segment.chain_hash for record in records],
@@ -224,7 +223,12 @@ def store_records(
         raise _conflict(log, records, error) from error
 
 
-def _hello(body: bytes) -> Hello:
+def read_hello(body: bytes) -> Hello:
+    """The hello that a body holds.
+
+    Raises:
+        Refusal: It holds none, or speaks no version that is known here.
+    """
     try:
         hello = parse(Hello, body)
         common_protocol(hello)
@@ -324,17 +328,3 @@ def _conflict(log: Log, records: Sequence[Record], error: SequenceConflict | Cha
 
 def _keys(records: Sequence[Record]) -> list[StreamKey]:
     return list(dict.fromkeys(StreamKey(each.segment.stream, each.segment.header.epoch) for each in records))
-
-
-def _draft(segment: Segment) -> Draft:
-    header = segment.header
-    return Draft(
-        stream=header.stream,
-        event_count=header.event_count,
-        schema_version=header.schema_version,
-        time_min=header.time_min,
-        time_max=header.time_max,
-        producer=header.producer,
-        payload=segment.payload,
-        payload_hash=segment.payload_hash,
-    )

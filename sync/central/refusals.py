@@ -15,6 +15,7 @@ from datetime import datetime
 
 from events import Producer, RequestRefused, Station, StreamName, batch_of, encode
 from store import Log
+from sync.text import one_line
 
 WINDOW_SECONDS = 60.0
 KINDS_MAX = 1000
@@ -68,7 +69,9 @@ class Refusals:
             self._counts[kind.endpoint, kind.code] += 1
             if kind not in self._noted and len(self._noted) >= KINDS_MAX:
                 kind = Kind(None, kind.endpoint, kind.code, None)
-            noted = self._noted.setdefault(kind, _Noted(_printable(got), self._now(), self._clock()))
+            noted = self._noted.setdefault(
+                kind, _Noted(one_line(got[: 2 * _GOT_MAX], _GOT_MAX), self._now(), self._clock())
+            )
             noted.count += 1
 
     def counts(self) -> dict[tuple[str, str], int]:
@@ -120,9 +123,3 @@ def _event(kind: Kind, noted: _Noted, now: datetime) -> RequestRefused:
         count=noted.count,
         first_at=noted.first_at,
     )
-
-
-def _printable(text: str) -> str:
-    """The text in one line, cut to a length: strangers wrote some of it."""
-    line = " ".join(text[: 2 * _GOT_MAX].split())
-    return "".join(letter if letter.isprintable() else "?" for letter in line)[:_GOT_MAX]

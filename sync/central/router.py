@@ -21,7 +21,7 @@ from fastapi import APIRouter, Depends, Header, Request, Response
 from events import Station
 from store import Log
 from sync.central.access import REPLICATE, Access, Asked, Caller
-from sync.central.apply import answer_hello_2, apply_2
+from sync.central.apply import answer_hello_2, apply_2, read_hello
 from sync.central.apply_v1 import answer_hello, apply, cursor_of
 from sync.central.bodies import BodyLimits, check_declared, read_body, read_signed
 from sync.central.contacts import Contacts
@@ -46,10 +46,8 @@ from sync.protocol.wire import (
     Challenge,
     ChallengeRequest,
     Countersigned,
-    Hello,
     Range,
     RepairAnswer,
-    parse,
 )
 from sync.protocol.wire import HelloAnswer as HelloAnswer2
 from sync.protocol.wire import SegmentsAnswer as SegmentsAnswer2
@@ -252,17 +250,18 @@ def _version_2(
     def hello(call: Annotated[Call, Depends(door.hello())]) -> HelloAnswer2:
         token = call.asked.token
         assert token is not None, "a hello begins a session"
+        said = read_hello(call.body)
         answer = answer_hello_2(
             log,
             call.caller,
-            call.body,
+            said,
             body_bytes_max=most.body_bytes_max,
             segments_max=most.segments_max,
             now=now,
             token=token.text,
             token_expires_s=token.expires_s,
         )
-        contacts.greeted(parse(Hello, call.body), answer.protocol, answer.time)
+        contacts.greeted(said, answer.protocol, answer.time)
         return answer
 
     @api.post("/segments", summary="A station sends segments; 200 means that they are durable")

@@ -135,11 +135,6 @@ class Plan(BaseModel):
         """The first entry whose pattern fits the name of a stream that is not derived."""
         return next((entry for entry in self.entries if entry.fits(stream)), None)
 
-    def priority_of(self, stream: StreamName) -> int | None:
-        """The stream's priority, 0 first; None if the plan leaves it at the station."""
-        entry = self.entry_for(stream)
-        return None if entry is None else entry.priority
-
     def resolved(self, now: datetime, present: "Plan | None" = None) -> "Plan":
         """The plan as it is set at a time: `from: now` has become one.
 

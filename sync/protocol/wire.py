@@ -11,7 +11,7 @@ It does not check hashes: that is the work of whoever stores (`sync.central.appl
 import hashlib
 import json
 import struct
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from importlib.metadata import version
@@ -74,6 +74,7 @@ _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _TEXT_MAX = 4000
 
 M = TypeVar("M", bound="Message")
+R = TypeVar("R")
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,16 +125,27 @@ def decode_records(body: bytes, *, bytes_max: int = BODY_BYTES_MAX, segments_max
     Raises:
         WireError: The body is too large, empty, or not a sequence of whole records.
     """
+    return each_record(body, _decode_record, bytes_max, segments_max)
+
+
+def each_record(
+    body: bytes, decode: Callable[[bytes, int, str], tuple[R, int]], bytes_max: int, segments_max: int
+) -> list[R]:
+    """What `decode` makes of each record of a body: given the body, where one begins and that in words, it and its end.
+
+    Raises:
+        WireError: The body is too large, empty, holds too many records, or `decode` says so.
+    """
     if len(body) > bytes_max:
         raise WireError(f"a body has at most {bytes_max} bytes, got {len(body)}")
     if not body:
         raise WireError("a body holds one record or more, got 0 bytes")
-    records: list[Record] = []
+    records: list[R] = []
     at = 0
     while at < len(body):
         if len(records) == segments_max:
             raise WireError(f"a body holds at most {segments_max} records, got more")
-        record, at = _decode_record(body, at, f"record {len(records) + 1} at byte {at}")
+        record, at = decode(body, at, f"record {len(records) + 1} at byte {at}")
         records.append(record)
     return records
 

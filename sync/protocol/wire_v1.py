@@ -27,6 +27,7 @@ from sync.protocol.wire import (
     StationText,
     StreamText,
     Text,
+    each_record,
     parse,
     part,
     reason,
@@ -75,19 +76,7 @@ def decode_records(body: bytes, *, bytes_max: int = BODY_BYTES_MAX, segments_max
     Raises:
         WireError: The body is too large, empty, or not a sequence of whole records.
     """
-    if len(body) > bytes_max:
-        raise WireError(f"a body has at most {bytes_max} bytes, got {len(body)}")
-    if not body:
-        raise WireError("a body holds one record or more, got 0 bytes")
-    segments: list[Segment] = []
-    at = 0
-    while at < len(body):
-        if len(segments) == segments_max:
-            raise WireError(f"a body holds at most {segments_max} records, got more")
-        place = f"record {len(segments) + 1} at byte {at}"
-        segment, at = _decode_record(body, at, place)
-        segments.append(segment)
-    return segments
+    return each_record(body, _decode_record, bytes_max, segments_max)
 
 
 def _decode_record(body: bytes, at: int, place: str) -> tuple[Segment, int]:

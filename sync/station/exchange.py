@@ -24,6 +24,7 @@ from sync.errors import (
 from sync.protocol.wire import Problem, parse
 from sync.station.deadlines import deadline
 from sync.station.unreachable import why_unreachable
+from sync.text import one_line
 
 DEADLINE_S = 60.0
 """Longest time of an exchange, but for what its body takes."""
@@ -151,23 +152,17 @@ UPGRADE = "Next: bring station and central to the same ViAn: pip install --upgra
 
 
 def _explained(problem: Problem) -> str:
-    return _clean(
+    return one_line(
         f"{problem.error} ({problem.code}): got {problem.got}, wanted {problem.wanted}. Next: {problem.next}", 1500
     )
 
 
 def _seen(response: httpx.Response, data: bytes) -> str:
-    kind = _clean(response.headers.get("content-type", "no content type"), 80)
+    kind = one_line(response.headers.get("content-type", "no content type"), 80)
     location = response.headers.get("location")
-    to = f" to {_clean(location, 200)}" if location else ""
-    return f"status {response.status_code}{to}, {kind}, {_clean(data[:400].decode('utf-8', 'replace'), 160)!r}"
+    to = f" to {one_line(location, 200)}" if location else ""
+    return f"status {response.status_code}{to}, {kind}, {one_line(data[:400].decode('utf-8', 'replace'), 160)!r}"
 
 
 def _said(error: httpx.HTTPError) -> str:
-    return _clean(str(error), 300) or type(error).__name__
-
-
-def _clean(text: str, length_max: int) -> str:
-    """The text in one line that is safe to print, cut to a length."""
-    line = " ".join(text.split())
-    return "".join(letter if letter.isprintable() else "?" for letter in line)[:length_max]
+    return one_line(str(error), 300) or type(error).__name__

@@ -9,6 +9,8 @@ import ssl
 
 import httpx
 
+from sync.text import one_line
+
 GOES_ON = "nothing is lost, it goes on by itself when central is back"
 
 _CERTIFICATE = {
@@ -63,5 +65,4 @@ def _cause(error: BaseException) -> BaseException:
 
 
 def _said(error: BaseException) -> str:
-    line = " ".join(str(error).split())
-    return "".join(letter if letter.isprintable() else "?" for letter in line)[:300].rstrip(".") or type(error).__name__
+    return one_line(str(error), 300).rstrip(".") or type(error).__name__

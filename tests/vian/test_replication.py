@@ -19,8 +19,8 @@ TOKEN = "a-token-of-brno-that-nobody-guesses"
 
 def test_the_default_plan_sends_everything_and_situations_before_points() -> None:
     plan = load_plan(None)
-    found = {each.type_name: plan.priority_of(StreamName.of("brno", "gate", each.type_name)) for each in SHIPPED}
-    priorities = {name: priority for name, priority in found.items() if priority is not None}
+    found = {each.type_name: plan.entry_for(StreamName.of("brno", "gate", each.type_name)) for each in SHIPPED}
+    priorities = {name: entry.priority for name, entry in found.items() if entry is not None}
     assert priorities.keys() == found.keys()
     assert priorities["situation_detected"] == priorities["rule_deployed"] == min(priorities.values())
     assert priorities["situation_detected"] < priorities["track_ended"] < priorities["track_point"]
@@ -29,7 +29,7 @@ def test_the_default_plan_sends_everything_and_situations_before_points() -> Non
 def test_a_plan_comes_from_its_file() -> None:
     Path("plan.yaml").write_text("entries: [{stream: '*/*/situation_detected', priority: situations}]\n")
     plan = load_plan(Path("plan.yaml"))
-    assert plan.priority_of(StreamName.of("brno", "gate", "track_point")) is None
+    assert plan.entry_for(StreamName.of("brno", "gate", "track_point")) is None
 
 
 def test_a_plan_that_is_not_there_is_told() -> None:
