@@ -8,8 +8,6 @@ bounded: rows are read a batch at a time, and an answer ends at its limit of row
 
 import hashlib
 import json
-import threading
-from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
@@ -25,6 +23,7 @@ from sync.central.access import FIND as MAY_FIND
 from sync.central.access import QUERY as MAY_QUERY
 from sync.central.lookup import columns_of, select
 from sync.central.pages import Pages
+from sync.central.places import Places
 from sync.central.selects import COLUMNS_MAX, permitted
 from sync.errors import Refusal, SelectRefused, WireError
 from sync.protocol.questions import Answer, AnswerColumn, FindQuestion, QueryQuestion
@@ -87,8 +86,13 @@ class Answering:
         self._now = now
         self._monotonic = monotonic
         self._still_allowed = still_allowed
-        self._asking: Counter[str] = Counter()
-        self._lock = threading.Lock()
+        self._places = Places(
+            "too_many_questions",
+            "other questions are being answered",
+            "ask again in a moment",
+            of_station_max=limits.of_station_max,
+            in_all_max=limits.at_once_max,
+        )
 
     def find(self, caller: Caller, body: bytes) -> bytes:
         """The answer to a FindQuestion, as JSON.
@@ -221,7 +225,7 @@ class Answering:
             )
 
         try:
-            with self._turn(caller.station):
+            with self._places.taken(caller.station):
                 yield record
             with self._log.transaction() as transaction:
                 self._still_allowed(transaction, caller)
@@ -233,31 +237,6 @@ class Answering:
 
     def _draft(self, event: QueryAnswered) -> Draft:
         return encode(StreamName.of(self._station, "sync", QueryAnswered.type_name), batch_of([event]), _PRODUCER)
-
-    @contextmanager
-    def _turn(self, station: Station) -> Iterator[None]:
-        """A place among those who ask at this moment.
-
-        Raises:
-            Refusal: All are taken.
-        """
-        with self._lock:
-            if self._asking[station] >= self._limits.of_station_max or self._asking.total() >= self._limits.at_once_max:
-                raise Refusal(
-                    429,
-                    "too_many_questions",
-                    "other questions are being answered",
-                    f"{self._asking[station]} of station {station}, {self._asking.total()} in all",
-                    f"at most {self._limits.of_station_max} of a station and {self._limits.at_once_max} in all",
-                    "ask again in a moment",
-                )
-            self._asking[station] += 1
-        try:
-            yield
-        finally:
-            with self._lock:
-                self._asking[station] -= 1
-                self._asking += Counter()  # forgets who asks nothing
 
 
 @dataclass(slots=True)

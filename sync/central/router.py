@@ -8,9 +8,8 @@ Version 2 is for enrolled stations, which sign each request (`sync.central.acces
 the release before, which have a token of the stations file (`sync.protocol.grants`).
 """
 
-from collections import Counter
-from collections.abc import AsyncIterator, Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from collections.abc import AsyncIterator, Callable
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from time import monotonic
@@ -25,6 +24,7 @@ from sync.central.apply import answer_hello_2, apply_2, read_hello
 from sync.central.apply_v1 import answer_hello, apply, cursor_of
 from sync.central.bodies import BodyLimits, check_declared, read_body, read_signed
 from sync.central.contacts import Contacts
+from sync.central.places import Places
 from sync.central.problems import RESPONSES, Note, claim, cursors_2, problem_route
 from sync.central.turns import NAME_LENGTH_MAX, Turns
 from sync.errors import Refusal
@@ -149,7 +149,12 @@ class Door:
     def __init__(self, access: Access, limits: Limits) -> None:
         self.access = access
         self._limits = limits
-        self._open: Counter[Station] = Counter()
+        self._places = Places(
+            "too_many_requests",
+            "the station has too many requests under way",  # an enrolled one must not fill central's memory
+            "wait until one of them is answered; a daemon that runs twice is seen in vian sync status",
+            of_station_max=limits.requests_max,
+        )
 
     def hello(self) -> Opened:
         """A dependency: the station that says hello."""
@@ -183,30 +188,10 @@ class Door:
         async def call(
             request: Request, _: Annotated[None, Depends(declared)], one: Annotated[Asked, Depends(asked)]
         ) -> AsyncIterator[Call]:
-            with self._held(one.caller.station):
+            with self._places.taken(one.caller.station):
                 yield Call(one.caller, await read_signed(request, limits, one.digest), one)
 
         return call
-
-    @contextmanager
-    def _held(self, station: Station) -> Iterator[None]:
-        """Count the station's requests whose bodies are held: an enrolled station must not fill central's memory."""
-        if self._open[station] >= self._limits.requests_max:
-            raise Refusal(
-                429,
-                "too_many_requests",
-                f"station {station} has too many requests under way",
-                f"{self._open[station] + 1} at once",
-                f"at most {self._limits.requests_max}",
-                "wait until one of them is answered; a daemon that runs twice is seen in vian sync status",
-            )
-        self._open[station] += 1
-        try:
-            yield
-        finally:
-            self._open[station] -= 1
-            if not self._open[station]:
-                del self._open[station]
 
 
 def _version_2(

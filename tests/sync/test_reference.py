@@ -49,7 +49,9 @@ def test_each_key_of_each_message_is_told(module: ModuleType, text: str) -> None
 def test_each_problem_is_told() -> None:
     names = ("access", "apply", "bodies", "router", "countersigning", "enrolment", "registry", "sessions", "unpacking")
     sources = "".join(next((ROOT / "sync").rglob(f"{name}.py")).read_text(encoding="utf-8") for name in names)
-    refusals = re.findall(r'(?:Refusal\(\s*\d+,\s*|corrupt\(segment, |_no_code\(|code, first = )"(\w+)"', sources)
+    refusals = re.findall(
+        r'(?:Refusal\(\s*\d+,\s*|Places\(\s*|corrupt\(segment, |_no_code\(|code, first = )"(\w+)"', sources
+    )
     codes = {*refusals, "false_header", "bad_header", "other_history", "other_bytes"}
 
     assert len(codes) > 25
