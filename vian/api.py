@@ -17,7 +17,7 @@ from prometheus_client.exposition import CONTENT_TYPE_PLAIN_0_0_4
 from store import Log, LogUnavailable
 from sync.central.access import Access
 from sync.central.problems import Note
-from sync.central.router import Answers, Storing, router
+from sync.central.router import Answers, Limits, Storing, router
 from sync.protocol.grants import Grantor
 from vian.errors import WorldFailed
 from vian.metrics import Metrics
@@ -34,6 +34,7 @@ def create_app(
     log: Log,
     grants: Grantor | None = None,
     *,
+    limits: Limits | None = None,
     access: Access | None = None,
     answers: Answers | None = None,
     note: Note = lambda kind, got: None,
@@ -45,6 +46,7 @@ def create_app(
     Args:
         log: The log.
         grants: Which tokens speak for which station, of protocol version 1.
+        limits: What requests of stations may cost.
         access: Which stations are enrolled, for version 2.
         answers: Answers enrolled stations' questions.
         note: Told of each request of a station that is refused.

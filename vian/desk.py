@@ -48,7 +48,7 @@ def central_desk(
     station = station_name(membership.station)
 
     def greeting() -> Greeting:
-        return Greeting(station, log.epoch, utc_now(), heads=(), believed=None, checkpoint=None)
+        return Greeting(station, log.epoch, utc_now(), heads=(), believed=None, checkpoint=None, wants_cursors=False)
 
     signer = membership.signer(station_key(settings))
     timeout = httpx.Timeout(_ANSWER_SECONDS, connect=_CONNECT_SECONDS)

@@ -35,7 +35,7 @@ def central_link(log: Log, settings: Settings) -> Iterator[Central]:
     context = station_context(membership.certificate)
     with httpx.Client(base_url=membership.address, timeout=REQUEST_SECONDS_MAX, verify=context) as client:
         link = Central(client, membership.signer(load_key(key_path(settings))))
-        link.hello(Greeting(station_name(settings.station), log.epoch, utc_now(), (), None, None))
+        link.hello(Greeting(station_name(settings.station), log.epoch, utc_now(), (), None, None, wants_cursors=False))
         yield link
 
 

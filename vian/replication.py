@@ -3,7 +3,7 @@
 import random
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 
@@ -34,7 +34,7 @@ logger = structlog.get_logger()
 
 REQUEST_SECONDS_MAX = 30.0
 PACE = Pace(in_flight=2)
-"""One request is answered while the next one travels."""
+"""One request is answered while the next one travels; what the settings say by default."""
 DEFAULT_PLAN = (
     {"stream": "*/*/situation_detected", "priority": "situations"},
     {"stream": "*/*/rule_deployed", "priority": "situations"},
@@ -68,6 +68,17 @@ def plan_at_start(log: Log, station: str, path: Path | None, now: Callable[[], d
     plan = load_plan(path).resolved(now(), planned.plan if planned else None)
     check_filters(plan, log.catalogue)
     return plan
+
+
+def pace_of(settings: Settings) -> Pace:
+    """How much a daemon sends at a time, as the settings say."""
+    return replace(
+        PACE,
+        request_bytes=settings.sync_request_kb_max * 1024,
+        latency_s=settings.sync_latency_s,
+        in_flight=settings.sync_in_flight,
+        hello_s=settings.sync_hello_s,
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,6 +145,7 @@ def station_daemon(
     plan: Plan,
     now: Callable[[], datetime] = utc_now,
     transport: httpx.BaseTransport | None = None,
+    pace: Pace = PACE,
 ) -> Iterator[Daemon]:
     """A daemon that sends the station's streams to central, for the length of the block.
 
@@ -144,6 +156,7 @@ def station_daemon(
         plan: Which streams, in which order.
         now: The station's clock.
         transport: Carries the requests; over the network by default.
+        pace: How much at a time.
 
     Raises:
         WrongUsage: The log is another station's.
@@ -171,7 +184,7 @@ def station_daemon(
                 peer.link(client),
                 now=now,
                 random=random.random,
-                pace=PACE,
+                pace=pace,
                 central_key=peer.public_key,
                 chores=(DerivingChore(deriver),),
             )

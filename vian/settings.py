@@ -14,6 +14,7 @@ import platformdirs
 from pydantic import AfterValidator, Field, SecretStr, ValidationError
 from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict, TomlConfigSettingsSource
 
+from sync.plans.plan_values import rate
 from vian.errors import WrongUsage
 
 CONFIG_NAME = "vian.toml"
@@ -39,6 +40,11 @@ def config_file() -> Path:
 def _host_name() -> str:
     cleaned = re.sub(r"[^A-Za-z0-9._-]+", "-", socket.gethostname())[:64].strip("._-")
     return cleaned or "station"
+
+
+def _checked_rate(text: str | None) -> str | None:
+    rate(text)
+    return text
 
 
 class Settings(BaseSettings):
@@ -140,6 +146,17 @@ class Settings(BaseSettings):
     """central server: questions of one station at a time"""
     questions_at_once_max: Annotated[int, Field(ge=1, le=8)] = 4
     """central server: questions of all stations at a time; each takes one of the log's 10 connections"""
+
+    sync_latency_s: Annotated[float, Field(gt=0, le=60)] = 0.3
+    """how long a request to central should take, in seconds: an alert waits about so long for what is under way"""
+    sync_request_kb_max: Annotated[int, Field(ge=16, le=65_536)] = 2_048
+    """most that the segments of one request to central take, in KiB; a larger segment goes alone"""
+    sync_in_flight: Annotated[int, Field(ge=1, le=8)] = 2
+    """requests with segments that are under way to central at once"""
+    sync_hello_s: Annotated[float, Field(ge=1, le=86_400)] = 900.0
+    """time without an answer of central's after which an idle station says hello, in seconds"""
+    station_rate: Annotated[str | None, AfterValidator(_checked_rate)] = None
+    """central server: most that each station may send, such as `800 kbit/s`; without it, no limit"""
 
     rows_keep_days: Annotated[int, Field(ge=1)] | None = None
     """age in days at which a day's rows are dropped, by event time; never by default. Events stay in the log"""

@@ -77,8 +77,8 @@ def answer_hello_2(
     check_station(hello.station, caller.station)
     for state in hello.streams:
         check_owner(caller.station, StreamName.parse(state.stream), state.epoch, None)
-    held = held_of(log, caller.station)
-    are_known = hello.cursors_hash == cursors_hash(held.items())
+    held = held_of(log, caller.station) if hello.wants_cursors else {}
+    are_known = hello.wants_cursors and hello.cursors_hash == cursors_hash(held.items())
     return HelloAnswer(
         protocol=common_protocol(hello),
         program=program(),

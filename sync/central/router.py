@@ -74,6 +74,8 @@ class Limits:
     """Bytes of a hello."""
     idle_s_max: float = 30.0
     """Seconds between two pieces of a body."""
+    bits_per_s_max: int | None = None
+    """Most that each station may send, which it keeps to by itself; None: no limit."""
     requests_max: int = 8
     """Requests of one station whose bodies are held at once."""
 
@@ -245,6 +247,7 @@ def _version_2(
             now=now,
             token=token.text,
             token_expires_s=token.expires_s,
+            bits_per_s_max=most.bits_per_s_max,
         )
         contacts.greeted(said, answer.protocol, answer.time)
         return answer

@@ -321,6 +321,8 @@ class Hello(Message):
     """hash of what it believes that central holds; null where it does not know"""
     checkpoint: SequenceNumber | None = None
     """sequence of its newest checkpoint that central countersigned"""
+    wants_cursors: bool = True
+    """false: the session is for questions, and needs no word of what central holds"""
 
 
 class Range(Message):

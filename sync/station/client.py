@@ -64,6 +64,8 @@ class Greeting:
     """what it believes that central holds, of all its streams; None where it does not know"""
     checkpoint: int | None
     """sequence of its newest checkpoint that central countersigned"""
+    wants_cursors: bool = True
+    """Whether central is to say what it holds."""
 
 
 class Link(Protocol):
@@ -146,6 +148,7 @@ class Central:
             streams=_named(greeting),
             cursors_hash=None if greeting.believed is None else cursors_hash(greeting.believed.items()),
             checkpoint=greeting.checkpoint,
+            wants_cursors=greeting.wants_cursors,
         )
         answer = self._parsed(HelloAnswer, "hello", said.encoded(), JSON, HELLO_ANSWER_BYTES_MAX)
         if answer.protocol not in PROTOCOLS:

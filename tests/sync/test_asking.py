@@ -152,3 +152,14 @@ def test_what_is_wrong_with_a_question_is_told(begin: Begin, access: Access) -> 
     answer = begin().ask(QueryQuestion(sql="select pg_sleep(9)"))
     assert (answer.status_code, answer.json()["code"]) == (422, "bad_question")
     assert "pg_sleep is not for questions (line 1, column 8)" in answer.json()["got"]
+
+
+def test_a_hello_for_a_question_names_no_cursors(access: Access, address: str) -> None:
+    enrol(access)
+    with httpx.Client(base_url=address) as client:
+        link = Central(client, RequestSigner(KEY, "brno-2", CENTRAL_KEY.id, PATH))
+        full = link.hello(Greeting(BRNO, 1, NOON, (), None, None))
+        short = link.hello(Greeting(BRNO, 1, NOON, (), None, None, wants_cursors=False))
+
+    assert len(full.cursors) == 1
+    assert (short.cursors, short.are_cursors_known) == ((), False)

@@ -6,7 +6,7 @@ import pytest
 
 from events import Run
 from store import Log, verify
-from sync import Daemon, Pace, Plan
+from sync import Daemon, Limits, Pace, Plan
 from sync.plans.planning import set_plan
 from sync.protocol.reports import saved_status
 from tests.sync.conftest import (
@@ -162,6 +162,24 @@ def test_a_cap_holds_the_daemon_back_for_as_long_as_it_says(
     assert 1 < waiting.sleep_s <= Pace().idle_s
     clock.seconds += 600
     assert daemon.step().did == "sent"
+
+
+def test_a_station_keeps_to_the_cap_of_central(
+    station_log: Log, central_log: Log, make_daemon: MakeDaemon, serve: Serve
+) -> None:
+    clock = Steady()
+    append_points(station_log, stream_of(), [5000] * 3)
+    address = serve(central_app(central_log, limits=Limits(bits_per_s_max=8000)))
+    daemon = make_daemon(address=address, monotonic=clock, plan=Plan.of({"entries": [{"stream": "*/gate/*"}]}))
+    begun, size = clock.seconds, 0
+
+    while (step := daemon.step()).did != "nothing" or daemon.status().streams[0].backlog:
+        size += step.bytes
+        clock.seconds += step.sleep_s
+
+    assert central_log.stream_head(stream_of()).sequence == 15000
+    largest = size / 3 * 1.5
+    assert size - largest <= 1000 * (clock.seconds - begun) + 1000
 
 
 def test_an_idle_daemon_says_hello_now_and_then_and_names_nothing(

@@ -11,8 +11,8 @@ from tests.vian.samples import START, append, points
 from vian.clock import utc_now
 from vian.errors import WrongUsage
 from vian.membership import Membership, save_membership
-from vian.replication import load_plan, peer_by_token, peer_of, station_daemon
-from vian.settings import load_settings
+from vian.replication import PACE, load_plan, pace_of, peer_by_token, peer_of, station_daemon
+from vian.settings import Settings, load_settings
 
 TOKEN = "a-token-of-brno-that-nobody-guesses"
 
@@ -107,3 +107,15 @@ def test_an_empty_log_may_become_any_stations(log: Log) -> None:
 
 def test_the_clock_is_in_utc() -> None:
     assert utc_now().tzinfo is UTC
+
+
+def test_the_settings_say_how_much_a_daemon_sends_at_a_time() -> None:
+    assert pace_of(Settings()) == PACE
+    given = Settings(sync_latency_s=1, sync_request_kb_max=64, sync_in_flight=1, sync_hello_s=60)
+    pace = pace_of(given)
+    assert (pace.latency_s, pace.request_bytes, pace.in_flight, pace.hello_s) == (1, 65536, 1, 60)
+
+
+def test_a_rate_that_is_none_is_no_setting() -> None:
+    with pytest.raises(WrongUsage, match=r"station_rate: .*such as 800 kbit/s"):
+        load_settings(station_rate="fast")

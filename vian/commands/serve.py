@@ -23,6 +23,8 @@ from patterns.engine.compiling import compiling_beside
 from store import Log, Projector
 from sync.central.access import Access
 from sync.central.refusals import Refusals
+from sync.central.router import Limits
+from sync.plans.plan_values import rate
 from sync.protocol.grants import Grantor
 from vian import logs, options
 from vian.admission import access_for, certificate_of, refusals_for, refusals_part
@@ -35,7 +37,7 @@ from vian.parts import Part, Parts, stepping
 from vian.precedence import Precedence
 from vian.pruning import disk_part
 from vian.questions import answering_for
-from vian.replication import peer_of, plan_at_start, station_daemon, sync_part
+from vian.replication import pace_of, peer_of, plan_at_start, station_daemon, sync_part
 from vian.rows import upkeep_part
 from vian.rules import limits_of
 from vian.settings import Settings
@@ -145,6 +147,7 @@ def _central_app(log: Log, settings: Settings, grants: Grantor | None, door: _Do
     return create_app(
         log,
         grants,
+        limits=Limits(bits_per_s_max=rate(settings.station_rate)),
         access=door.access,
         answers=answering_for(log, settings, door.access),
         note=door.refusals.note,
@@ -178,7 +181,7 @@ def _parts(
     peer = peer_of(settings) if role is Role.STATION else None
     if peer is not None:
         plan = plan_at_start(log, settings.station, settings.plan)
-        daemon = stack.enter_context(station_daemon(log, settings.station, peer, plan))
+        daemon = stack.enter_context(station_daemon(log, settings.station, peer, plan, pace=pace_of(settings)))
         parts.append(sync_part(daemon))
     return parts
 

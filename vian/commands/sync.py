@@ -16,7 +16,7 @@ from vian.options import opened, settings_for
 from vian.output import Output
 from vian.parts import Parts
 from vian.pruning import disk_part
-from vian.replication import peer_of, plan_at_start, station_daemon, sync_part
+from vian.replication import pace_of, peer_of, plan_at_start, station_daemon, sync_part
 
 app = typer.Typer(help="Replicate this station's chosen streams to central, and choose them.")
 app.add_typer(sync_plan.app, name="plan")
@@ -65,7 +65,7 @@ def sync(
     with ExitStack() as stack:
         log = stack.enter_context(opened(settings, data_dir=data_dir, is_made=not once))
         chosen = plan_at_start(log, settings.station, settings.plan)
-        daemon = stack.enter_context(station_daemon(log, settings.station, peer, chosen))
+        daemon = stack.enter_context(station_daemon(log, settings.station, peer, chosen, pace=pace_of(settings)))
         if once:
             daemon.catch_up()
         else:
