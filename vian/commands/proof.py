@@ -24,6 +24,7 @@ from vian import options
 from vian.errors import WorldFailed, WrongUsage
 from vian.options import opened, settings_for
 from vian.output import Output
+from vian.rekeying import told_of_new_key
 from vian.signatures import VerifiedNote, has_key, key_path, own_station, rotate, signer_for, signing_station
 
 
@@ -55,6 +56,7 @@ def init(
             rotate(log, settings)
         key = make_key(path)
         position = log.head()
+        notes = told_of_new_key(log, settings) if is_new_key else []
     Output(is_json=as_json).result(
         {
             "station": name,
@@ -62,10 +64,11 @@ def init(
             "public_key": key.public.hex(),
             "key_file": str(path),
             "position": position,
+            "next": notes,
         },
         f"station:     {name}\nkey id:      {key.id}\npublic key:  {key.public.hex()}\n"
         f"key file:    {path} (yours alone: keep a copy apart, and the key id where others can find it)\n"
-        f"log:         position {position}",
+        f"log:         position {position}" + "".join(f"\nnext:        {note}" for note in notes),
     )
 
 

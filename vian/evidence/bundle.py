@@ -191,6 +191,7 @@ class _Export:
         segments = self._source.log.read(wanted.stream, wanted.ranges[0][0], epoch=wanted.epoch, with_hollow=True)
         for segment in takewhile(lambda each: each.header.first_sequence <= last, segments):
             if _is_wanted(segment, wanted):
+                _check_whole(segment)
                 yield segment
 
     def _segments(self, wanted: Wanted, run: Run, bracket: Bracket, path: str) -> str:
@@ -317,6 +318,17 @@ class _Export:
 def _is_wanted(segment: Segment, wanted: Wanted) -> bool:
     first, last = segment.header.first_sequence, segment.header.last_sequence
     return any(begin <= last and first <= end for begin, end in wanted.ranges)
+
+
+def _check_whole(segment: Segment) -> None:
+    """Nothing, if the events of the segment are here."""
+    if not segment.has_payload:
+        header = segment.header
+        raise WorldFailed(
+            f"events {header.first_sequence} to {header.last_sequence} of {segment.stream} have left this disk, pruned "
+            "or given up; evidence is exported with all its events or not at all. Next: vian sync repair, which has "
+            "them back if central holds them, or vian evidence export there"
+        )
 
 
 def _signed(checkpoint: SignedCheckpoint | None, wanted: Wanted, run: Run) -> list[int]:

@@ -15,6 +15,7 @@ import pytest
 
 from events import MatchedRange, StreamName
 from store import Log
+from store.payloads import take_off
 from tests.store.tiered import seal_all
 from tests.vian.conftest import Ran, Run
 from tests.vian.evidence.conftest import RULE, SITUATION, VIDEO, Export, fill, say, situation, started, track
@@ -433,3 +434,17 @@ def test_evidence_verify_refuses_nonsense(run: Run, tmp_path: Path) -> None:
 def test_names_of_streams_are_those_of_files(bundle: Path) -> None:
     names = {path.stem.rsplit(".", 1)[0] for path in (bundle / "segments").iterdir()}
     assert names == {str(StreamName.parse(item["stream"])).replace("/", ".") for item in manifest_of(bundle)["items"]}
+
+
+def test_events_whose_payload_left_the_disk_are_named_with_the_next_command(
+    signed_log: Log, run: Run, tmp_path: Path
+) -> None:
+    (position,) = [each.position for each in signed_log.read(GATE) if each.header.first_sequence <= 13][-1:]
+    with signed_log.transaction() as transaction:
+        take_off(transaction, [position])
+
+    ran = run("evidence", "export", "--situation", SITUATION, "--out", tmp_path / "out", "--dsn", signed_log.dsn)
+
+    assert ran.code == 1
+    assert f"of {GATE} have left this disk, pruned or given up" in ran.words
+    assert "Next: vian sync repair" in ran.words
