@@ -14,7 +14,6 @@ import platformdirs
 from pydantic import AfterValidator, Field, SecretStr, ValidationError
 from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict, TomlConfigSettingsSource
 
-from sync.plans.plan_values import rate
 from vian.errors import WrongUsage
 
 CONFIG_NAME = "vian.toml"
@@ -40,11 +39,6 @@ def config_file() -> Path:
 def _host_name() -> str:
     cleaned = re.sub(r"[^A-Za-z0-9._-]+", "-", socket.gethostname())[:64].strip("._-")
     return cleaned or "station"
-
-
-def _checked_rate(text: str | None) -> str | None:
-    rate(text)
-    return text
 
 
 class Settings(BaseSettings):
@@ -155,8 +149,8 @@ class Settings(BaseSettings):
     """requests with segments that are under way to central at once"""
     sync_hello_s: Annotated[float, Field(ge=1, le=86_400)] = 900.0
     """time without an answer of central's after which an idle station says hello, in seconds"""
-    station_rate: Annotated[str | None, AfterValidator(_checked_rate)] = None
-    """central server: most that each station may send, such as `800 kbit/s`; without it, no limit"""
+    station_rate_kbps: Annotated[int, Field(ge=1)] | None = None
+    """central server: most that each station may send, in kbit/s; without it, no limit"""
 
     rows_keep_days: Annotated[int, Field(ge=1)] | None = None
     """age in days at which a day's rows are dropped, by event time; never by default. Events stay in the log"""

@@ -114,8 +114,3 @@ def test_the_settings_say_how_much_a_daemon_sends_at_a_time() -> None:
     given = Settings(sync_latency_s=1, sync_request_kb_max=64, sync_in_flight=1, sync_hello_s=60)
     pace = pace_of(given)
     assert (pace.latency_s, pace.request_bytes, pace.in_flight, pace.hello_s) == (1, 65536, 1, 60)
-
-
-def test_a_rate_that_is_none_is_no_setting() -> None:
-    with pytest.raises(WrongUsage, match=r"station_rate: .*such as 800 kbit/s"):
-        load_settings(station_rate="fast")

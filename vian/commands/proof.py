@@ -24,7 +24,7 @@ from vian import options
 from vian.errors import WorldFailed, WrongUsage
 from vian.options import opened, settings_for
 from vian.output import Output
-from vian.rekeying import told_of_new_key
+from vian.settings import Settings
 from vian.signatures import VerifiedNote, has_key, key_path, own_station, rotate, signer_for, signing_station
 
 
@@ -56,7 +56,7 @@ def init(
             rotate(log, settings)
         key = make_key(path)
         position = log.head()
-        notes = told_of_new_key(log, settings) if is_new_key else []
+        notes = _next(log, settings) if is_new_key else []
     Output(is_json=as_json).result(
         {
             "station": name,
@@ -70,6 +70,13 @@ def init(
         f"key file:    {path} (yours alone: keep a copy apart, and the key id where others can find it)\n"
         f"log:         position {position}" + "".join(f"\nnext:        {note}" for note in notes),
     )
+
+
+def _next(log: Log, settings: Settings) -> list[str]:
+    """What to do now that the key is another."""
+    from vian.rekeying import told_of_new_key  # of sync, which commands that verify need not wait for
+
+    return told_of_new_key(log, settings)
 
 
 def sign(

@@ -24,7 +24,6 @@ from store import Log, Projector
 from sync.central.access import Access
 from sync.central.refusals import Refusals
 from sync.central.router import Limits
-from sync.plans.plan_values import rate
 from sync.protocol.grants import Grantor
 from vian import logs, options
 from vian.admission import access_for, certificate_of, refusals_for, refusals_part
@@ -147,7 +146,7 @@ def _central_app(log: Log, settings: Settings, grants: Grantor | None, door: _Do
     return create_app(
         log,
         grants,
-        limits=Limits(bits_per_s_max=rate(settings.station_rate)),
+        limits=Limits(bits_per_s_max=settings.station_rate_kbps and 1000 * settings.station_rate_kbps),
         access=door.access,
         answers=answering_for(log, settings, door.access),
         note=door.refusals.note,
