@@ -187,6 +187,9 @@ def _state(view: StationView) -> str:
     if view.state == "silent":
         return f"its daemon is silent{said}. Next: start vian sync or vian serve"
     paused = " (the plan is paused. Next: vian sync plan resume)" if view.is_paused else ""
+    count = sum(each.why_stopped is not None for each in view.streams)
+    if count and view.state == "caught_up":
+        return f"stopped in {count} of {len(view.streams)} streams, the others caught up{said}{paused}"
     return f"{view.state.replace('_', ' ')}{said}{paused}"
 
 

@@ -152,6 +152,7 @@ def test_what_is_late_ends_a_check_with_1(station: Log, run: Run, changes: dict[
     ran = at_station(run, station, "status", "--check")
     assert ran.code == (0 if late is None else 1)
     assert late is None or late in ran.words
+    assert (": stopped in 1 of" in ran.out) is ("error" in changes)
 
 
 def test_a_daemon_that_says_nothing_for_long_is_silent(station: Log, run: Run) -> None:
