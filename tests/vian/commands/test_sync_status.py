@@ -256,6 +256,30 @@ def test_doctor_names_a_log_that_is_not_the_one_that_central_knows(
     assert "this log was replaced or restored" in ran.out
 
 
+def test_a_stream_of_another_history_is_not_said_to_be_at_central(
+    station: Log, make_log: MakeLog, enrolled: str, run: Run
+) -> None:
+    assert run("sync", "--dsn", station.dsn, "--station", "brno", "--once").code == 0
+    other = make_log()
+    append(other, points(5))
+    assert run("sync", "--dsn", other.dsn, "--station", "brno", "--once").code == 1
+    row = streams(at_station(run, other, "status", "--json"))[str(GATE)]
+    assert (row["at_central"], row["events"]) == (None, 5)
+    shown = at_station(run, other, "status").out
+    assert "last contact: never" not in shown
+    assert "in a row" not in shown
+    assert f"stopped: {GATE}: stream {GATE} (epoch 1) is stopped: at sequence 20" in shown
+
+
+def test_the_checkpoint_that_central_countersigned_is_named(station: Log, enrolled: str, run: Run) -> None:
+    for number in (1, 2, 3):
+        append(station, points(3))
+        assert run("sign", "--dsn", station.dsn, "--station", "brno").code == 0, number
+    assert run("sync", "--dsn", station.dsn, "--station", "brno", "--once").code == 0
+    shown = at_station(run, station, "status").out
+    assert "checkpoints: 3 signed here, newest that central countersigned: 3" in shown
+
+
 def test_what_is_not_filtered_yet_is_said(station: Log, run: Run) -> None:
     Path("plan.yaml").write_text("entries: [{stream: '*/*/track_point', where: 'frame >= 15'}]\n")
     assert run("sync", "plan", "set", "plan.yaml", "--dsn", station.dsn, "--station", "brno").code == 0
