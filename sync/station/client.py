@@ -152,7 +152,6 @@ class Central:
             station=greeting.station,
             epoch=greeting.epoch,
             time=greeting.time,
-            challenge=challenge.challenge,
             streams=_named(greeting),
             cursors_hash=None if greeting.believed is None else cursors_hash(greeting.believed.items()),
             checkpoint=greeting.checkpoint,

@@ -51,6 +51,8 @@ from sync.station.standing import Standing
 
 _LANDING_S = 0.02
 """Longest wait for a request to be answered before the log is looked at again."""
+_FOR_GOOD = ("false_header", "too_many_streams", "too_many_runs")
+"""Codes of refusals that the same segment meets again."""
 
 
 class Daemon:
@@ -478,7 +480,7 @@ class Daemon:
         self._standing.doubt()
         self._outbox.forget()
         self._state = "waiting"
-        if isinstance(error, Refused) and error.code == "false_header":
+        if isinstance(error, Refused) and error.code in _FOR_GOOD:
             self._stop_refused(error)
         return Step("failed", self._contact.pause_after(error), error=error)
 
