@@ -12,12 +12,13 @@ from datetime import datetime
 from typing import Protocol
 
 from events import CorruptSegment, PayloadGone, Segment, Station, StreamName, UnknownType, chain, decode
+from events.segment import PAYLOAD_MAX_BYTES
 from store import ChainBroken, Log, SequenceConflict, Transaction
 from store.writing import Appended
 from sync.errors import ProtocolMismatch, Refusal, WireError
 from sync.keeping.held import held_of, runs_of
 from sync.keeping.repair import Wanted
-from sync.protocol.unpacking import check_unpacked
+from sync.protocol.unpacking import check_unpacked, unpacked_bytes
 from sync.protocol.wire import (
     CURSORS_MAX,
     PROTOCOLS,
@@ -193,14 +194,29 @@ def check(log: Log, station: Station, records: Sequence[Record], *, may_lack_pay
             continue
         _check_payload_hash(segment)
         try:
-            decode(segment, log.catalogue, as_stored=True)
-        except UnknownType:
-            pass  # A newer station's: kept, shipped on and verified; whoever reads it is told.
+            _check_holds(log, segment)
         except (CorruptSegment, PayloadGone) as error:
             # The chain tells a lie of the station's from what was damaged on the way.
             is_meant = chain(record.previous, header, segment.payload_hash) == segment.chain_hash
             code = "false_header" if is_meant else "bad_header"
             raise corrupt(segment, code, str(error), "a payload that holds what the header says") from error
+
+
+def _check_holds(log: Log, segment: Segment) -> None:
+    """Nothing, if the payload holds what the header says, as far as its type is known here.
+
+    Raises:
+        CorruptSegment: It does not.
+    """
+    try:
+        decode(segment, log.catalogue, as_stored=True)
+    except UnknownType:
+        # A newer station's: kept, shipped on and verified; whoever reads it is told. Nobody shall unpack a bomb then.
+        if (declared := unpacked_bytes(segment.payload)) > PAYLOAD_MAX_BYTES:
+            raise CorruptSegment(
+                f"{segment.stream} from sequence {segment.header.first_sequence}: the payload declares {declared} "
+                f"bytes, at most {PAYLOAD_MAX_BYTES} are allowed"
+            ) from None
 
 
 def _check_room(log: Log, station: Station, records: Sequence[Record]) -> None:

@@ -108,7 +108,7 @@ class Client:
 
 def segment_of(stream: StreamName = GATE, count: int = 3, payload: bytes | None = None) -> Segment:
     """A stream's first segment; with a payload of choice its hashes are right all the same."""
-    draft = encode(stream, points(count), PRODUCER)
+    draft = encode(GATE, points(count), PRODUCER)
     header = Header(stream, 1, 1, count, draft.schema_version, draft.time_min, draft.time_max, PRODUCER)  # type: ignore[arg-type]
     data = draft.payload if payload is None else payload
     payload_hash = hashlib.sha256(data).digest()
@@ -371,6 +371,8 @@ def test_huge_headers_are_refused(central: Served, brno: Client) -> None:
 def test_payloads_that_unpack_to_gigabytes_are_refused_unopened(central: Served, brno: Client) -> None:
     bomb = zstd_frame(declared=8 * 2**30)
     assert told(brno.send(body=one_segment(payload=bomb)), 422) == "false_header"
+    unknown = StreamName.of("brno", "gate", "starship_seen")
+    assert told(brno.send(body=one_segment(unknown, payload=bomb)), 422) == "false_header"
     silent = zstd_frame(declared=None, blocks=4000)  # says nothing of its size, and unpacks to 500 MiB
     assert told(brno.send(body=one_segment(payload=silent)), 422) == "false_header"
     assert central.stored == 0
