@@ -10,7 +10,7 @@ from fastapi import Request, Response
 from fastapi.responses import JSONResponse
 from fastapi.routing import APIRoute
 
-from store import LogUnavailable
+from store import DiskNearlyFull, LogUnavailable
 from sync.central.refusals import Kind
 from sync.errors import Refusal
 from sync.protocol.wire import Cursor, Problem
@@ -106,7 +106,12 @@ def answer(refusal: Refusal, cursors: list[dict[str, Any]]) -> Response:
 
 
 def unavailable(error: LogUnavailable) -> Refusal:
-    """What a station is told while central's database is away."""
+    """What a station is told while central's database is away, or takes no more."""
+    if isinstance(error, DiskNearlyFull):
+        said = str(error).partition(". Next: ")[0]
+        return Refusal(
+            503, "disk_nearly_full", "central's disk is nearly full", said, "room on it", "make room on central's disk"
+        )
     return Refusal(
         503, "log_unavailable", "central's database is away", str(error), "a database", "vian doctor on central"
     )

@@ -26,6 +26,7 @@ from sync.central.router import Limits, router
 from sync.protocol.enrolment import Enrol, new_secret
 from sync.protocol.signing import RequestSigner
 from sync.protocol.wire import PATH, Hello, Record, encode_records
+from tests.sync.test_losses import Disk
 from tests.vian.samples import GATE, PRODUCER, START, points
 from vian.api import bind, create_app, serving
 from vian.clock import utc_now
@@ -430,6 +431,17 @@ def test_while_the_database_is_away_nothing_is_let_in(central: Served, brno: Cli
     central.log.close()
     assert told(brno.send(), 503) == "log_unavailable"
     assert central.refusals.counts() == {("segments", "log_unavailable"): 1}
+
+
+def test_while_the_disk_is_nearly_full_nothing_is_stored_and_then_it_goes_on(central: Served, brno: Client) -> None:
+    disk = Disk(central.log)
+    disk.free_mib = 10
+    answer = brno.send()
+    assert told(answer, 503) == "disk_nearly_full"
+    assert answer.json()["next"] == "make room on central's disk"
+    assert central.stored == 0
+    disk.free_mib = 1000
+    assert brno.send().status_code == 200
 
 
 def test_requests_of_many_threads_are_each_let_in_once(central: Served, brno: Client) -> None:
