@@ -92,10 +92,10 @@ class Client:
         """A request as an honest station signs it."""
         return next(self.signer.auth_flow(self.http.build_request("POST", f"{PATH}/{endpoint}", content=body)))
 
-    def hello_request(self) -> httpx.Request:
+    def hello_request(self, *protocols: int) -> httpx.Request:
         challenge = self.http.post(f"{PATH}/challenge", content=json.dumps({"station": self._name})).json()
         self.signer.answer(challenge["challenge"])
-        said = Hello(protocols=(2,), program="vian/0", station=self._name, epoch=1, time=START)
+        said = Hello(protocols=protocols or (2,), program="vian/0", station=self._name, epoch=1, time=START)
         return self.request("hello", said.encoded())
 
     def hello(self) -> None:
@@ -425,6 +425,13 @@ def test_a_hello_over_an_old_challenge_of_a_central_that_was_started_again_is_re
     old = brno.hello_request()
     brno.hello()
     assert told(brno.http.send(old), 401) == "stale_challenge"
+
+
+def test_a_station_from_the_future_is_told_what_is_spoken_here(central: Served, brno: Client) -> None:
+    answer = brno.http.send(brno.hello_request(3, 99))
+    assert told(answer, 400) == "protocol_version"
+    assert answer.json()["wanted"] == "version 2"
+    assert brno.http.send(brno.hello_request(2, 3)).json()["protocol"] == 2
 
 
 def test_while_the_database_is_away_nothing_is_let_in(central: Served, brno: Client) -> None:
