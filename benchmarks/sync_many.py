@@ -1,9 +1,10 @@
 """A hundred stations against one central, beside one station with as much to send.
 
 Contract: the stations' daemons are tasks of a few processes, each with connections and a right of its own; those of a
-process share a log. Before the clock starts each has sent a little, so that its connections are open and it has learnt how
-much goes into a request; then all begin at once, with as many segments of as many cameras each. Central is `vian
-serve` with a log of its own.
+Contract: the stations' daemons are tasks of a few processes, each with connections and a right of its own; those of a
+process share a log. Before the clock starts each has sent a little, so that its connections are open and it has
+learnt how much goes into a request; then all begin at once, with as many segments of as many cameras each. Central is
+`vian serve` with a log of its own.
 """
 
 import statistics
@@ -31,7 +32,8 @@ _CAMERAS = 5
 _WARMING_SEGMENTS = 40
 """that each station sends before"""
 _MB = 2**20
-_LOOK_SECONDS = 0.5
+_LOOK_SECONDS = 1.0
+"""Between two looks at memory: each reads the maps of all of PostgreSQL's processes."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,7 +22,20 @@ from typing import Any, Self, TypeVar
 import psycopg
 from psycopg_pool import ConnectionPool, PoolTimeout
 
-from events import GENESIS, Base, Catalogue, Draft, EventType, Place, Position, Run, Segment, StreamName, load_catalogue
+from events import (
+    GENESIS,
+    Base,
+    Catalogue,
+    Draft,
+    EventType,
+    Place,
+    Position,
+    Run,
+    Segment,
+    Station,
+    StreamName,
+    load_catalogue,
+)
 from store.coldtier import ColdTier
 from store.embedded import EmbeddedServer
 from store.errors import UNKNOWN, BadRequest, ChainBroken, DatabaseDamaged, DiskNearlyFull, LogUnavailable, StoreError
@@ -476,11 +489,13 @@ class Log:
         """Where each life of the stream stands that holds events, oldest first: a restored log has several."""
         return [head for head in self.streams() if head.stream == stream and head.sequence]
 
-    def heads(self) -> tuple[int, list[StreamHead]]:
-        """The log's head and those of all streams by name, as they stood at one moment."""
+    def heads(self, station: Station | None = None) -> tuple[int, list[StreamHead]]:
+        """The log's head and those of all streams by name, or of a station's, as they stood at one moment."""
         rows = self._rows(
             "select h.position, s.station, s.source, s.type, s.epoch, s.sequence, s.chain_hash "
-            "from log_head h left join streams s on true order by s.station, s.source, s.type, s.epoch"
+            "from log_head h left join streams s on %(station)s::text is null or s.station = %(station)s "
+            "order by s.station, s.source, s.type, s.epoch",
+            {"station": station},
         )
         heads = [StreamHead(StreamName(*row[1:4]), *row[4:]) for row in rows if row[1] is not None]
         return rows[0][0], heads

@@ -119,8 +119,8 @@ def station_view(log: Log, station: Station, now: datetime, default: Plan) -> St
     planned = planned_in(log, station)
     plan = default if planned is None else planned.plan
     status = saved_status(log)
-    _, heads = log.heads()
-    own = [head for head in heads if head.stream.station == station and head.sequence]
+    _, heads = log.heads(station)
+    own = [head for head in heads if head.sequence]
     said_age = None if status is None or status.saved_at is None else _age(status.saved_at, now)
     return StationView(
         station=station,

@@ -144,10 +144,10 @@ class Deriver:
 
     def _look(self) -> None:
         """Take up the plan, the streams, and the checkpoints as they are now."""
-        head, heads = self._log.heads()
+        head, heads = self._log.heads(self._station)
         self._heed_plan(heads)
         if self._planned is not None:
-            for base in _bases(heads, self._station) - self._looked_at:
+            for base in _bases(heads) - self._looked_at:
                 self._note(base, self._planned.plan)
                 self._looked_at.add(base)
         if self._derivations.keys() - self._positions.keys():
@@ -321,9 +321,9 @@ def _checkpoint(stream: StreamName) -> str:
     return f"{CHECKPOINT}{stream}"
 
 
-def _bases(heads: Sequence[StreamHead], station: Station) -> set[StreamName]:
-    """The station's streams that are not derived, each once whatever its epochs."""
-    found = {head.stream for head in heads if head.stream.station == station and head.sequence}
+def _bases(heads: Sequence[StreamHead]) -> set[StreamName]:
+    """The streams that are not derived, each once whatever its epochs."""
+    found = {head.stream for head in heads if head.sequence}
     return {stream for stream in found if base_of(stream) is None}
 
 

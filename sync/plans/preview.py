@@ -103,8 +103,8 @@ def preview(
     Raises:
         LogUnavailable: The database is away.
     """
-    head, heads = log.heads()
-    own = [each for each in heads if each.stream.station == station and each.sequence]
+    head, heads = log.heads(station)
+    own = [each for each in heads if each.sequence]
     bases = [each for each in own if base_of(each.stream) is None]
     by_entry: dict[int, list[StreamHead]] = {number: [] for number in range(len(plan.entries))}
     staying = 0

@@ -293,7 +293,7 @@ class Daemon:
     def _look(self) -> None:
         """Take in what the log holds now."""
         if self._log.head() != self._log_head:
-            self._log_head, heads = self._log.heads()
+            self._log_head, heads = self._log.heads(self._station)
             self._standing.look(self._log_head, heads)
             self._chores.wake()
             self._is_plan_seen = False

@@ -77,7 +77,7 @@ class Standing:
         self._look_at(self._heads.values())
 
     def look(self, log_head: int, heads: Iterable[StreamHead]) -> None:
-        """Take in how the log stands.
+        """Take in how the log stands: its head, and those of the station's streams.
 
         Raises:
             PlanError: The plan sends more streams than can be sent.
@@ -87,7 +87,7 @@ class Standing:
         changed = []
         for head in heads:
             key = StreamKey(head.stream, head.epoch)
-            if head.stream.station == self._station and head.sequence and self._heads.get(key) != head:
+            if head.sequence and self._heads.get(key) != head:
                 self._heads[key] = head
                 changed.append(head)
         self._look_at(changed)
