@@ -6,7 +6,6 @@ takes it off. Streams that prove the log, or that programs read back, stay (`sto
 one bounded thing; killed between any two, nothing is doubled and nothing goes unrecorded.
 """
 
-import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
@@ -30,6 +29,7 @@ from store.payloads import Freed, Weight, may_leave, reclaim, take_off, weights
 from store.resealing import Resealer, streams_of
 from store.room import CREDIT, credit_state
 from store.sealed import SealedFile
+from sync.keeping.countersigned import Held, held_in
 from sync.keeping.countersigning import VOID
 
 SOURCE = "sync"
@@ -50,18 +50,19 @@ IsSigned = Callable[[CheckpointCountersigned], bool]
 
 
 @dataclass(frozen=True, slots=True)
-class Held:
-    """Up to where central holds the station's streams, as it signed."""
+class Proven:
+    """From where to where central holds the station's streams, as it signed."""
 
     statement_hash: str
-    sequences: Mapping[Place, int]
+    ranges: Mapping[Place, Held]
 
     def holds(self, weight: Weight) -> bool:
         """Whether central holds the segment."""
-        return weight.last_sequence <= self.sequences.get((weight.stream, weight.epoch), 0)
+        held = self.ranges.get((weight.stream, weight.epoch))
+        return held is not None and held.holds(weight.first_sequence, weight.last_sequence)
 
 
-NOTHING_HELD = Held("", {})
+NOTHING_PROVEN = Proven("", {})
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,7 +122,7 @@ class Proof:
         self._stream = StreamName.of(station, SOURCE, CheckpointCountersigned.type_name)
         self._is_signed = is_signed
         self._seen: tuple[StreamHead, int] | None = None
-        self.held = NOTHING_HELD
+        self.held = NOTHING_PROVEN
 
     def look(self) -> bool:
         """Look for a newer checkpoint; whether there is one.
@@ -136,24 +137,24 @@ class Proof:
         seen = newest, self._log.checkpoint(VOID).position
         if seen == self._seen:
             return False
-        self.held = NOTHING_HELD
+        self.held = NOTHING_PROVEN
         (segment,) = self._log.read(newest.stream, newest.sequence, epoch=newest.epoch)
         event = events_of(decode(segment, self._log.catalogue))[-1]
         is_ours = isinstance(event, CheckpointCountersigned) and event.of_station == self._stream.station
         counts = segment.position > seen[1]  # else central lost, since it signed, what it held then
         if isinstance(event, CheckpointCountersigned) and is_ours and counts and self._is_signed(event):
-            self.held = Held(event.statement_hash, dict(_agreed(self._log, event)))
+            self.held = Proven(event.statement_hash, dict(_agreed(self._log, event)))
         self._seen = seen
         return True
 
 
-def _agreed(log: Log, event: CheckpointCountersigned) -> Iterator[tuple[Place, int]]:
-    """The signed heads at which this log has the same chain hash."""
-    for station, epoch, source, type_name, sequence, chain_hash in json.loads(event.held):
-        stream = StreamName.of(station, source, type_name)
-        segment = next(log.read(stream, sequence, epoch=epoch, with_hollow=True), None)
-        if segment and (segment.header.last_sequence, segment.chain_hash.hex()) == (sequence, chain_hash):
-            yield (stream, epoch), sequence
+def _agreed(log: Log, event: CheckpointCountersigned) -> Iterator[tuple[Place, Held]]:
+    """What is signed of streams whose chain hash this log has, too, at the head."""
+    for held in held_in(event.held):
+        head = held.head
+        segment = next(log.read(head.stream, head.sequence, epoch=head.epoch, with_hollow=True), None)
+        if segment and (segment.header.last_sequence, segment.chain_hash) == (head.sequence, head.chain_hash):
+            yield (head.stream, head.epoch), held
 
 
 class Pruner:
@@ -176,8 +177,8 @@ class Pruner:
         self._to_reclaim = 0
         self._files: list[SealedFile] = []
         """sealed files that are still to be looked at below the newest checkpoint"""
-        self._files_seen: dict[int, frozenset[Place]] = {}
-        """which streams of each sealed file could go when it was looked at, by its first position"""
+        self._files_seen: dict[int, frozenset[tuple[Place, int]]] = {}
+        """which streams of each sealed file could go, and behind which sequence, by the file's first position"""
 
     def step(self, now: datetime) -> bool:
         """Take off a bounded lot of what may go; whether there may be more.
@@ -211,7 +212,7 @@ class Pruner:
         if self._proof.look():
             self._position = 0
             self._files = list(self._old_files(now))
-        page = weights(self._log, self._position, now - self._after, SEGMENTS_MAX) if self._proof.held.sequences else []
+        page = weights(self._log, self._position, now - self._after, SEGMENTS_MAX) if self._proof.held.ranges else []
         if not page:
             return None
         chosen = self._chosen(page)
@@ -238,14 +239,15 @@ class Pruner:
 
     def _old_files(self, now: datetime) -> Iterator[SealedFile]:
         """The sealed files that are old enough and of which more may go than when they were looked at last."""
-        for file in self._log.archive.files() if self._proof.held.sequences else ():
+        for file in self._log.archive.files() if self._proof.held.ranges else ():
             if file.sealed_at >= now - self._after:
                 return
             may_go = frozenset(
-                (each.stream, each.epoch)
+                ((each.stream, each.epoch), held.after)
                 for each in streams_of(self._log, file)
                 if may_leave(each.stream)
-                and each.last_sequence <= self._proof.held.sequences.get((each.stream, each.epoch), 0)
+                and (held := self._proof.held.ranges.get((each.stream, each.epoch))) is not None
+                and held.after < each.last_sequence <= held.head.sequence
             )
             if may_go - self._files_seen.get(file.first_position, frozenset()):
                 self._files_seen[file.first_position] = may_go
@@ -277,13 +279,13 @@ def bounded(chosen: Sequence[Weight]) -> list[Weight]:
 
 
 def take_off_held(
-    log: Log, station: Station, lot: Sequence[Weight], held: Held, now: datetime, *, credit: int | None = None
+    log: Log, station: Station, lot: Sequence[Weight], held: Proven, now: datetime, *, credit: int | None = None
 ) -> Freed:
     """Take off what central holds, and record it; see `take_off_recorded`."""
     return take_off_recorded(log, station, lot, pruned(lot, held, now), credit=credit)
 
 
-def pruned(lot: Sequence[Weight], held: Held, now: datetime) -> list[SegmentsPruned]:
+def pruned(lot: Sequence[Weight], held: Proven, now: datetime) -> list[SegmentsPruned]:
     """What is said of a lot that goes because central holds it."""
     return [
         SegmentsPruned(

@@ -1,9 +1,10 @@
 """`vian init`, `vian sign`, `vian verify`: the station's key, its signatures, and whether all holds."""
 
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from events import CheckpointCountersigned
 from store import (
     BadProof,
     ChainBroken,
@@ -26,6 +27,9 @@ from vian.options import opened, settings_for
 from vian.output import Output
 from vian.settings import Settings
 from vian.signatures import VerifiedNote, has_key, key_path, own_station, rotate, signer_for, signing_station
+
+if TYPE_CHECKING:
+    from sync.keeping.witnessing import Witnessed
 
 
 def register(app: typer.Typer) -> None:
@@ -141,20 +145,41 @@ def verify_log(
             trusted=known_keys(path) | keys_of_others(path),
             save=lambda verified: _note(note, verified, output),
         )
-        if found.is_sound:
+        countersigned = _countersigned(log, settings, found)
+        faults = [*found.broken, *(countersigned.broken if countersigned else ())]
+        if not faults:
             _note_read_back(log, found, output)
-    if not found.is_sound:
-        for broken in found.broken:
+    if faults:
+        for broken in faults:
             output.result(_broken(broken), f"broken: {broken}")
         raise WorldFailed(
-            f"the log does not verify: {len(found.broken)} breaks. "
+            f"the log does not verify: {len(faults)} breaks. "
             "Next: keep this database as it is, and restore the streams named from central or a backup"
         )
     assert found.verified is not None, "a sound log can be gone on from"
     _note(note, found.verified, output)
-    output.result(_sound(found, found.verified), _told(found, found.verified))
+    _tell_sound(found, found.verified, countersigned, output)
     if not found.covered:
         output.note("no signature covers it. Next: vian init, then vian sign, or keep vian serve running")
+
+
+def _tell_sound(found: Verification, verified: Verified, countersigned: "Witnessed | None", output: Output) -> None:
+    data, text = _sound(found, verified), _told(found, verified)
+    if countersigned is not None:
+        from vian.witnesses import told
+
+        data |= {"countersigned": countersigned.signatures, "countersigned_by_unknown": countersigned.unknown}
+        text = "\n".join([text, *told(countersigned)])
+    output.result(data, text)
+
+
+def _countersigned(log: Log, settings: Settings, found: Verification) -> "Witnessed | None":
+    """What countersignatures since the last run are worth; None where the log has no such stream."""
+    if not any(head.stream.type == CheckpointCountersigned.type_name for head in log.streams()):
+        return None
+    from vian.witnesses import countersignatures  # of sync, which a log that central never signed need not wait for
+
+    return countersignatures(log, settings, found.since)
 
 
 def _note(note: VerifiedNote, verified: Verified, output: Output) -> None:
