@@ -11,7 +11,8 @@ events are there already (`store.reading.Filter`).
 
 A deriver is stepped; a step reads one bounded page of the log. A base stream that cannot be filtered (a type unknown
 here, a damaged segment, a condition that fails) stops its derived stream until the plan changes or the program is
-started again, and the others go on. Segments whose payload has left the disk are passed over.
+started again, and the others go on. A segment whose payload was pruned stops it until the payload is back, and it
+goes on by itself; one that was given up is passed over, for the log says so and nothing brings it back.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -23,8 +24,10 @@ from duckdb import DuckDBPyConnection
 from events import Draft, EventBatch, EventError, EventType, Position, Producer, Segment, Station, StreamName, decode
 from events.segment import draft_of, encode_payload
 from store import Checkpoint, Log, StreamHead
+from store.absence import Absence, recorded
 from store.reading import DERIVE, Filter
 from sync.errors import FilterFailed, PlanError
+from sync.plans.awaiting import Missing, Waiting, missing
 from sync.plans.entries import Entry, base_of, derived_name
 from sync.plans.filtering import Sieve, database, joined
 from sync.plans.plan import Plan
@@ -74,6 +77,8 @@ class _Share:
     reached: int
     batches: list[EventBatch] = field(default_factory=list)
     error: str | None = None
+    gone_at: Position | None = None
+    """position of a pruned segment, where that is why"""
 
 
 class Deriver:
@@ -101,6 +106,10 @@ class Deriver:
         self._positions: dict[StreamName, int] = {}
         """How far the base streams were read; a little ahead of what is saved where nothing was let through."""
         self._errors: dict[StreamName, str] = {}
+        self._gone: dict[StreamName, Position] = {}
+        """Where streams are stopped because a payload of their base was pruned; it may come back."""
+        self._absence: Absence | None = None
+        """What the log records of payloads that left the disk, once that was asked for."""
         self._is_turn_of_live = False
 
     def step(self) -> bool:
@@ -146,6 +155,8 @@ class Deriver:
         """Take up the plan, the streams, and the checkpoints as they are now."""
         head, heads = self._log.heads()
         self._heed_plan(heads)
+        self._absence = None
+        self._heed_repairs()
         if self._planned is not None:
             for base in _bases(heads, self._station) - self._looked_at:
                 self._note(base, self._planned.plan)
@@ -164,8 +175,21 @@ class Deriver:
             return
         self._planned = planned_in(self._log, self._station)
         self._plan_place = place
-        for kept in (self._derivations, self._looked_at, self._errors, self._sieves, self._positions):
+        for kept in (self._derivations, self._looked_at, self._errors, self._gone, self._sieves, self._positions):
             kept.clear()
+
+    def _heed_repairs(self) -> None:
+        """Go on with the streams for which a payload that was gone is back, or is given up."""
+        for name, position in list(self._gone.items()):
+            (segment,) = self._log.page(position, position, Filter(with_hollow=True), 1)
+            if segment.has_payload or self._is_given_up(segment):
+                del self._gone[name], self._errors[name]
+
+    def _is_given_up(self, segment: Segment) -> bool:
+        if self._absence is None:
+            bases = {each.base for each in self._derivations.values()}
+            self._absence = recorded(self._log, bases, self._station)
+        return self._absence.is_lost(segment)
 
     def _doubt(self) -> None:
         """Read the checkpoints again before the next step."""
@@ -221,6 +245,7 @@ class Deriver:
             types=sorted({str(each.base.type) for each in group}),
             sources=sorted({str(each.base.source) for each in group}),
             stations=[self._station],
+            with_hollow=True,
         )
         segments = self._log.page(first, last, wanted, PAGE_SEGMENTS)
         reached = last if len(segments) < PAGE_SEGMENTS else segments[-1].position
@@ -235,14 +260,21 @@ class Deriver:
                 self._positions[name] = share.reached
                 if share.error is not None:
                     self._errors[name] = share.error
+                    if share.gone_at is not None:
+                        self._gone[name] = share.gone_at
 
     def _share(self, derivation: Derivation, segments: Sequence[Segment], reached: int) -> _Share:
         """What one derived stream gets of its base's segments, as far as they can be filtered."""
         batches: list[EventBatch] = []
         since = derivation.entry.since
         for number, segment in enumerate(segments):
-            if not segment.has_payload or (since is not None and segment.header.time_max < since):
+            if since is not None and segment.header.time_max < since:
                 continue
+            if not segment.has_payload:
+                if self._is_given_up(segment):
+                    continue  # as the log says, and central is told
+                share = self._share(derivation, segments[:number], Position(segment.position - 1))
+                return self._stopped_at_gap(share, derivation, segment)
             try:
                 batches.append(decode(segment, self._log.catalogue))
             except EventError as error:
@@ -258,6 +290,21 @@ class Deriver:
                 return _stopped(_Share(segments[0].position - 1), derivation, segments[0].position, error)
             return self._halved(derivation, segments, reached)
         return _Share(reached, [] if passed is None else list(_cut(passed)))
+
+    def _stopped_at_gap(self, share: _Share, derivation: Derivation, segment: Segment) -> _Share:
+        """The share, stopped before a segment whose payload was pruned, unless it stopped earlier."""
+        if share.error is None:
+            waiting = Waiting(derivation.stream, segment.position - 1, derivation.entry.since)
+            here = Missing(
+                derivation.base,
+                derivation.stream,
+                segment.header.epoch,
+                segment.header.first_sequence,
+                segment.header.last_sequence,
+            )
+            share.error = str(next(missing(self._log, {derivation.base: waiting}), here))
+            share.gone_at = segment.position
+        return share
 
     def _halved(self, derivation: Derivation, segments: Sequence[Segment], reached: int) -> _Share:
         """The same in two halves, to find the segment at which the condition fails."""
