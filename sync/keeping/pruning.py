@@ -1,14 +1,15 @@
 """Pruning: payloads that central holds, as its signature proves, leave the station's disk when they are old.
 
 Contract: only what lies below the newest checkpoint that central countersigned, and only where that says of the
-stream the very chain hash that this log has there. What goes is recorded as `segments_pruned` in the transaction that
-takes it off. Streams that prove the log, or that programs read back, stay (`store.payloads.may_leave`). A step does
-one bounded thing; killed between any two, nothing is doubled and nothing goes unrecorded.
+stream the very chain hash that this log has there. What a derived stream still waits for stays. What goes is recorded
+as `segments_pruned` in the transaction that takes it off; a sealed file is written anew without it
+(`store.resealing`). Streams that prove the log, or that programs read back, stay (`store.payloads.may_leave`). A step
+does one bounded thing; killed between any two, nothing is doubled and nothing goes unrecorded.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from datetime import datetime, timedelta
+from datetime import UTC, datetime, timedelta
 from hashlib import sha256
 
 from events import (
@@ -31,9 +32,11 @@ from store.room import CREDIT, credit_state
 from store.sealed import SealedFile
 from sync.keeping.countersigned import Held, held_in
 from sync.keeping.countersigning import VOID
+from sync.plans.awaiting import Awaited, awaited
 
 SOURCE = "sync"
 PRODUCER = Producer("pruner", "1", sha256(b"{}").digest())
+ANY_TIME = datetime.max.replace(tzinfo=UTC)
 SEGMENTS_MAX = 500
 """Most segments that one step takes off."""
 BYTES_MAX = 16 * 1024 * 1024
@@ -173,6 +176,7 @@ class Pruner:
         self._station = station
         self._after = after
         self._proof = Proof(log, station, is_signed)
+        self._awaited: Awaited = {}
         self._position = 0
         self._to_reclaim = 0
         self._files: list[SealedFile] = []
@@ -184,6 +188,8 @@ class Pruner:
         """Take off a bounded lot of what may go; whether there may be more.
 
         Raises:
+            StoreError: A sealed file cannot be written anew; the others are.
+            PlanError: The log's plan does not read here.
             LogUnavailable: The database is away, or the account may not.
         """
         lot = self._next(now)
@@ -209,6 +215,7 @@ class Pruner:
 
     def _next(self, now: datetime) -> list[Weight] | None:
         """The next lot, which may be empty; None where nothing is left for now."""
+        self._awaited = awaited(self._log, self._station)
         if self._proof.look():
             self._position = 0
             self._files = list(self._old_files(now))
@@ -225,6 +232,14 @@ class Pruner:
         if not self._files:
             return False
         file = self._files.pop(0)
+        try:
+            self._prune_file(file, now)
+        except BaseException:
+            self._files.append(file)  # it is tried again, behind the others
+            raise
+        return True
+
+    def _prune_file(self, file: SealedFile, now: datetime) -> None:
         resealer = Resealer(self._log, file)
         held_here = resealer.weights()
         chosen = self._chosen(held_here)
@@ -235,7 +250,6 @@ class Pruner:
                 transaction.append([record_of(self._station, events)], from_reserve=True)
 
             resealer.take_off({each.position for each in chosen}, record)
-        return True
 
     def _old_files(self, now: datetime) -> Iterator[SealedFile]:
         """The sealed files that are old enough and of which more may go than when they were looked at last."""
@@ -248,13 +262,24 @@ class Pruner:
                 if may_leave(each.stream)
                 and (held := self._proof.held.ranges.get((each.stream, each.epoch))) is not None
                 and held.after < each.last_sequence <= held.head.sequence
+                and not self._is_awaited(each.stream, file.last_position)
             )
             if may_go - self._files_seen.get(file.first_position, frozenset()):
                 self._files_seen[file.first_position] = may_go
                 yield file
 
     def _chosen(self, given: Iterable[Weight]) -> list[Weight]:
-        return [each for each in given if may_leave(each.stream) and self._proof.held.holds(each)]
+        return [
+            each
+            for each in given
+            if may_leave(each.stream)
+            and self._proof.held.holds(each)
+            and not self._is_awaited(each.stream, each.position, each.time_max)
+        ]
+
+    def _is_awaited(self, stream: StreamName, position: int, time_max: datetime = ANY_TIME) -> bool:
+        waiting = self._awaited.get(stream)
+        return waiting is not None and waiting.wants(position, time_max)
 
     def _reclaim(self) -> None:
         if self._to_reclaim:
@@ -278,11 +303,9 @@ def bounded(chosen: Sequence[Weight]) -> list[Weight]:
     return lot
 
 
-def take_off_held(
-    log: Log, station: Station, lot: Sequence[Weight], held: Proven, now: datetime, *, credit: int | None = None
-) -> Freed:
+def take_off_held(log: Log, station: Station, lot: Sequence[Weight], held: Proven, now: datetime) -> Freed:
     """Take off what central holds, and record it; see `take_off_recorded`."""
-    return take_off_recorded(log, station, lot, pruned(lot, held, now), credit=credit)
+    return take_off_recorded(log, station, lot, pruned(lot, held, now))
 
 
 def pruned(lot: Sequence[Weight], held: Proven, now: datetime) -> list[SegmentsPruned]:
