@@ -1,8 +1,9 @@
 """Whether the log records of each segment without payload that it was pruned or lost.
 
-Contract: reads only, and only where segments without payload were met. A record counts if the station says it whose
-stream it is, or the one whose log this is: nobody excuses what is missing of another's. A record that says what
-segments were put back takes nothing away: whoever took them off again said so again.
+Contract: reads only, and only where segments without payload were met. A loss counts if the station says it whose
+stream it is, or the one whose log this is: nobody excuses what is missing of another's. What was pruned counts only in
+the log of who pruned it. A record that says what segments were put back takes nothing away: whoever took them off again
+said so again.
 """
 
 from collections import defaultdict
@@ -110,6 +111,8 @@ def recorded(log: Log, streams: Collection[StreamName], own: str | None) -> Abse
             stream = wanted[event.stream]
             if segment.stream.station not in (own, stream.station):
                 continue
+            if isinstance(event, SegmentsPruned) and own not in (None, segment.stream.station):
+                continue  # its station pruned what this log held, which is no reason that it is not here
             if isinstance(event, SegmentsPruned):
                 found.pruned[stream, event.stream_epoch].append((event.first_sequence, event.last_sequence))
             elif event.what == "segments" and event.first_sequence is not None and event.last_sequence is not None:

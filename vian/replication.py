@@ -198,6 +198,8 @@ def sync_part(daemon: Daemon) -> Part:
     told: list[str] = []
 
     def tell(step: Step) -> None:
+        for each in step.gone:
+            logger.error("payload gone here and at central", range=each, next="vian sync status")
         if step.error is not None and told != [str(step.error)]:
             told[:] = [str(step.error)]
             logger.warning("sync waits", error=str(step.error))

@@ -12,6 +12,7 @@ from datetime import datetime
 from events import CheckpointCountersigned, CheckpointSigned, Station, StreamName
 from store import Log, StreamHead, health
 from store.sizes import Part, Size, sizes
+from sync.keeping.gone import gone_in, told_at_station
 from sync.plans.deriving import CHECKPOINT as DERIVED
 from sync.plans.entries import base_of, derived_name
 from sync.plans.plan import Plan
@@ -138,7 +139,11 @@ def station_view(log: Log, station: Station, now: datetime, default: Plan) -> St
         countersigned=_newest_sequence(own, CheckpointCountersigned.type_name),
         signed=_newest_sequence(own, CheckpointSigned.type_name) or 0,
         days_left=days_left(log),
-        notes=(*(status.notes if status else ()), *_unmade(log, own, plan)),
+        notes=(
+            *map(told_at_station, gone_in(log, station, station)),
+            *(status.notes if status else ()),
+            *_unmade(log, own, plan),
+        ),
         streams=tuple(_streams(log, own, plan, status, now)),
     )
 

@@ -104,6 +104,7 @@ def apply_2(
     segments_max: int,
     still_allowed: Callable[[Transaction], None] = lambda _: None,
     in_turn: Callable[[], None] = lambda: None,
+    on_hollow: Callable[[Sequence[Segment]], None] = lambda _: None,
 ) -> SegmentsAnswer:
     """Store the segments of the body, and say what is held of their streams then.
 
@@ -116,6 +117,7 @@ def apply_2(
         still_allowed: Called when all is checked, in the transaction that stores it; raises if the caller may no
             longer write.
         in_turn: Called when all is checked, before the transaction; returns when it is this request's turn.
+        on_hollow: Told of the segments that were stored without payload, if any.
 
     Raises:
         Refusal: Something is wrong with them; nothing was stored.
@@ -127,6 +129,9 @@ def apply_2(
     in_turn()
     appended = store_records(log, records, still_allowed)
     duplicates = sum(one.was_there for one in appended)
+    new = [record.segment for record, one in zip(records, appended, strict=True) if not one.was_there]
+    if hollow := [segment for segment in new if not segment.has_payload]:
+        on_hollow(hollow)
     held = runs_of(log, _keys(records))
     return SegmentsAnswer(
         cursors=tuple(Cursor.of(key, runs) for key, runs in held.items()),

@@ -8,7 +8,7 @@ Version 2 is for enrolled stations, which sign each request (`sync.central.acces
 the release before, which have a token of the stations file (`sync.protocol.grants`).
 """
 
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -17,7 +17,7 @@ from typing import Annotated, Any, Protocol
 
 from fastapi import APIRouter, Depends, Header, Request, Response
 
-from events import Station
+from events import Segment, Station
 from store import Log
 from sync.central.access import REPLICATE, Access, Asked, Caller
 from sync.central.apply import answer_hello_2, apply_2, read_hello
@@ -58,6 +58,9 @@ from sync.protocol.wire_v1 import HelloAnswer, SegmentsAnswer, parse_versioned
 
 Storing = Callable[[], AbstractContextManager[None]]
 """Makes what is entered while segments are stored."""
+
+OnHollow = Callable[[Sequence[Segment]], None]
+"""Told of segments that were stored without payload."""
 
 __all__ = ["Call", "Door", "Grants", "Limits", "router"]
 
@@ -113,6 +116,7 @@ def router(
     answers: Answers | None = None,
     note: Note = lambda kind, got: None,
     while_storing: Storing = nullcontext,
+    on_hollow: OnHollow = lambda segments: None,
 ) -> APIRouter:
     """The endpoints of sync over a log: `/sync/v1/...` with grants, `/sync/v2/...` with access.
 
@@ -125,6 +129,7 @@ def router(
         answers: Answers the questions of stations, in version 2.
         note: Told of each refusal, such as `Refusals.note`.
         while_storing: Entered while segments of a request are checked and stored.
+        on_hollow: Told of segments that were stored without payload.
     """
     most = limits or Limits()
     api = APIRouter()
@@ -133,7 +138,7 @@ def router(
         api.include_router(_version_1(log, grants, most, now, note, while_storing, contacts))
     if access is not None:
         door = Door(access, most)
-        api.include_router(_version_2(log, door, most, now, note, answers, while_storing, contacts))
+        api.include_router(_version_2(log, door, most, now, note, answers, while_storing, contacts, on_hollow))
         api.include_router(_repairs(log, door, most, now, note))
     return api
 
@@ -205,6 +210,7 @@ def _version_2(
     answers: Answers | None,
     while_storing: Storing,
     contacts: Contacts,
+    on_hollow: OnHollow,
 ) -> APIRouter:
     api = APIRouter(prefix=PATH, tags=["sync"], route_class=problem_route(note, cursors_2), responses=RESPONSES)
     attempts = Attempts(monotonic)
@@ -267,6 +273,7 @@ def _version_2(
                 segments_max=most.segments_max,
                 still_allowed=lambda transaction: door.access.check_again(transaction, call.caller),
                 in_turn=lambda: turns.wait_for(call.caller.station, follows),
+                on_hollow=on_hollow,
             )
         contacts.heard(call.caller.station, now())
         return answer

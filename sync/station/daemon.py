@@ -13,7 +13,7 @@ the others go on.
 import threading
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from itertools import pairwise
 from time import monotonic as steady
@@ -22,6 +22,7 @@ from events import Station
 from store import Log, LogUnavailable, SequenceConflict
 from sync.errors import BadAnswer, CentralError, PlanError, Refusal, Refused, SegmentRefused, StreamStopped
 from sync.keeping.countersigning import Countersigning
+from sync.keeping.gone import GoneRecorder
 from sync.keeping.repair import records_for
 from sync.plans.plan import Entry, Plan
 from sync.plans.planning import plan_stream, planned_in, set_plan
@@ -92,6 +93,7 @@ class Daemon:
         self._contact = Contact(self._pace, now, random)
         self._chores = Chores(chores)
         self._countersigning = Countersigning(log, station, central_key, monotonic)
+        self._gone = GoneRecorder(log, station, now)
         self._reporter = Reporter(log, name, now, monotonic)
         self._sizer = Sizer(self._pace.latency_s, self._pace.request_bytes_min, self._pace.request_bytes)
         self._meter = Meter()
@@ -386,6 +388,7 @@ class Daemon:
         parcel = self._outbox.fill([work.gap for work in works], self._capacity(works[0].entry))
         if not parcel.records:
             return Step("sending")  # the gap was filled by another reader: look again
+        gone = tuple(map(str, self._gone.record(record.segment for record in parcel.records)))
         entries = self._standing.planned
         sizes: dict[Entry, int] = {}
         for filled in parcel.filled:
@@ -397,7 +400,7 @@ class Daemon:
         self._state = "sending"
         self._flights.launch(parcel, works[0].entry.priority if works[0].is_live else BACKLOG)
         landed = self._flights.landed() if self._pace.in_flight == 1 else None
-        return Step("sending") if landed is None else self._land(landed)
+        return replace(Step("sending") if landed is None else self._land(landed), gone=gone)
 
     def _capacity(self, entry: Entry) -> Capacity:
         """What the next request may hold: what the link, or the cap on the entry, carries in the latency."""

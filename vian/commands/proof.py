@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from events import CheckpointCountersigned
+from events import CheckpointCountersigned, LossRecorded, station_name
 from store import (
     BadProof,
     ChainBroken,
@@ -146,6 +146,7 @@ def verify_log(
             save=lambda verified: _note(note, verified, output),
         )
         countersigned = _countersigned(log, settings, found)
+        gone = _gone(log, settings)
         faults = [*found.broken, *(countersigned.broken if countersigned else ())]
         if not faults:
             _note_read_back(log, found, output)
@@ -161,6 +162,8 @@ def verify_log(
     _tell_sound(found, found.verified, countersigned, output)
     if not found.covered:
         output.note("no signature covers it. Next: vian init, then vian sign, or keep vian serve running")
+    if gone:
+        raise WorldFailed(f"every hash is right, but payloads are gone: {'; '.join(gone[:5])}")
 
 
 def _tell_sound(found: Verification, verified: Verified, countersigned: "Witnessed | None", output: Output) -> None:
@@ -180,6 +183,18 @@ def _countersigned(log: Log, settings: Settings, found: Verification) -> "Witnes
     from vian.witnesses import countersignatures  # of sync, which a log that central never signed need not wait for
 
     return countersignatures(log, settings, found.since)
+
+
+def _gone(log: Log, settings: Settings) -> list[str]:
+    """What is gone at both sides of replication, for people."""
+    if not any(head.stream.type == LossRecorded.type_name for head in log.streams()):
+        return []
+    from sync.keeping.gone import gone_in, told_at_central, told_at_station
+
+    own = station_name(settings.station)
+    return [
+        told_at_station(each) if each.stream.station == own else told_at_central(each) for each in gone_in(log, own)
+    ]
 
 
 def _note(note: VerifiedNote, verified: Verified, output: Output) -> None:
