@@ -40,9 +40,6 @@ from sync.station.reporting import Reporter
 from sync.station.scheduling import Share, Work, chosen, in_order
 from sync.station.standing import Standing
 
-_LANDING_S = 0.02
-"""Longest wait for a request to be answered before the log is looked at again."""
-
 
 class Daemon:
     """Sends a station's planned streams to central.
@@ -230,12 +227,12 @@ class Daemon:
         if (landed := self._flights.landed()) is not None:
             return self._land(landed)
         if self._standing.runs is None and len(self._flights):
-            self._wait_for_landing()  # of what was under way when something failed: its answer is told, not believed
+            self._flights.wait()  # of what was under way when something failed: its answer is told, not believed
             return Step("sending")
         self._standing.check()
         is_held_up = self._plan.paused or self._is_hello_due()
         if is_held_up and len(self._flights):
-            self._wait_for_landing()
+            self._flights.wait()
             return Step("sending")
         if is_held_up:
             return self._rest("paused") if self._plan.paused else self._hello()
@@ -336,7 +333,7 @@ class Daemon:
         if first:
             return self._launch(first, at)
         if len(self._flights):
-            self._wait_for_landing()
+            self._flights.wait()
             return Step("sending")
         return self._rest("caught_up" if not works else "sending", min(waits.values(), default=None))
 
@@ -408,9 +405,6 @@ class Daemon:
         wanted = self._sizer.size if capped is None else min(self._sizer.size, capped)
         return Capacity(min(wanted, self._terms.body_bytes_max), self._terms.body_bytes_max, self._terms.segments_max)
 
-    def _wait_for_landing(self) -> None:
-        self._flights.wait(_LANDING_S)
-
     def _land(self, landed: Landed) -> Step:
         """Take in what became of a request."""
         if self._standing.runs is None:
@@ -435,7 +429,7 @@ class Daemon:
 
     def _count(self, landed: Landed) -> None:
         parcel = landed.parcel
-        self._sizer.took(parcel.size, landed.seconds)
+        self._sizer.took(parcel.size, landed.way_s)
         self._meter.took(parcel.size * (1 + len(self._flights)), landed.seconds)
         for each in parcel.filled:
             self._doubts.pop(each.key, None)
