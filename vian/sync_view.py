@@ -194,7 +194,9 @@ def _unmade(log: Log, heads: Sequence[StreamHead], plan: Plan) -> list[str]:
     if not count:
         return []
     noun = counted(count, "stream")
-    return [f"of {noun} the plan sends what a filter leaves, which is made once central answers and counts then"]
+    return [
+        f"of {noun} the plan sends what a filter leaves, which vian sync makes, also without central, and counts then"
+    ]
 
 
 def _waiting(head: StreamHead, said: StreamStatus | None, since: datetime | None) -> list[Part]:

@@ -137,10 +137,27 @@ class Daemon:
                 if step.did == "nothing":
                     bell.wait(step.sleep_s, stop)
                 elif step.sleep_s:
-                    stop.wait(step.sleep_s)
+                    self._pause(step.sleep_s, stop)
         finally:
             bell.close()
             self._flights.close()
+
+    def meanwhile(self) -> bool:
+        """Do a piece of a chore while a pause lasts, as when central does not answer; whether there may be more."""
+        if self._is_log_away:
+            return False
+        try:
+            self._look()
+            return self._chores.step(self._now())
+        except (LogUnavailable, PlanError):
+            return False  # the next step meets the same, and says it
+
+    def _pause(self, seconds: float, stop: threading.Event) -> None:
+        """Wait, and do chores meanwhile; until `stop` is set at most."""
+        until = self._monotonic() + seconds
+        while not stop.is_set() and (left := until - self._monotonic()) > 0:
+            if not self.meanwhile():
+                stop.wait(left)
 
     def catch_up(self) -> int:
         """Number of events sent until nothing was left to do.
@@ -234,8 +251,10 @@ class Daemon:
         if is_held_up and len(self._flights):
             self._flights.wait()
             return Step("sending")
+        if self._plan.paused:
+            return Step("chore") if self._chores.step(self._now()) else self._rest("paused")
         if is_held_up:
-            return self._rest("paused") if self._plan.paused else self._hello()
+            return self._hello()
         return self._work()
 
     def _set_plan(self) -> Step:

@@ -2,6 +2,7 @@
 
 import contextlib
 import re
+import threading
 from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -20,6 +21,7 @@ from sync.keeping.pruning import Proven, take_off_held, take_off_recorded
 from sync.plans.deriving import Deriver, DerivingChore
 from sync.plans.entries import derived_name
 from sync.plans.planning import plan_stream, set_plan
+from sync.protocol.reports import Step
 from tests.store.tiered import seal_all
 from tests.sync.conftest import BRNO, NOON, PRODUCER, MakeDaemon, append_points, points, stream_of
 
@@ -437,6 +439,46 @@ def give_up(log: Log, position: int) -> None:
         policy="a test",
     )
     take_off_recorded(log, BRNO, [lost], [event])
+
+
+NOWHERE = "http://127.0.0.1:9"
+
+
+def test_without_central_it_is_derived_too(station_log: Log, make_daemon: MakeDaemon) -> None:
+    append_points(station_log, GATE, [3, 3])
+    made = plan_of(filtered("frame > 0"))
+    daemon = make_daemon(address=NOWHERE, plan=made, chores=(DerivingChore(Deriver(station_log, BRNO)),))
+    assert [daemon.step().did for _ in range(2)] == ["planned", "failed"]
+    while daemon.meanwhile():
+        pass
+    assert frames(derived(station_log, made)) == [1, 2, 3, 4, 5]
+    append_points(station_log, GATE, [2])
+    while daemon.meanwhile():
+        pass
+    assert frames(derived(station_log, made)) == [1, 2, 3, 4, 5, 6, 7]
+    assert derived_name(GATE, made.entries[0]) in [each.stream for each in daemon.status().streams]
+
+
+def test_a_daemon_that_runs_derives_while_it_waits_for_central(station_log: Log, make_daemon: MakeDaemon) -> None:
+    append_points(station_log, GATE, [3])
+    made = plan_of(filtered("true"))
+    daemon = make_daemon(address=NOWHERE, plan=made, chores=(DerivingChore(Deriver(station_log, BRNO)),))
+    stop, failed = threading.Event(), []
+
+    def tell(step: Step) -> None:
+        failed.append(step.did == "failed")
+        if sum(failed) == 5:
+            stop.set()
+
+    daemon.run(stop, tell)
+    assert frames(derived(station_log, made)) == [0, 1, 2]
+
+
+def test_while_the_plan_is_paused_it_is_derived(station_log: Log, make_daemon: MakeDaemon) -> None:
+    append_points(station_log, GATE, [3])
+    made = Plan.of({"entries": [filtered("true")], "paused": True})
+    make_daemon(address=NOWHERE, plan=made, chores=(DerivingChore(Deriver(station_log, BRNO)),)).catch_up()
+    assert frames(derived(station_log, made)) == [0, 1, 2]
 
 
 def test_large_events_are_cut_into_segments(station_log: Log, monkeypatch: pytest.MonkeyPatch) -> None:
