@@ -110,7 +110,10 @@ class SessionOver(CentralError):
 
 
 class Refused(CentralError):
-    """Central refused the request and said why, perhaps because of one segment."""
+    """Central refused the request and said why, perhaps because of one segment.
+
+    `got` is what it says that it got, as it came: untrusted text of several lines.
+    """
 
     def __init__(
         self,
@@ -120,9 +123,11 @@ class Refused(CentralError):
         stream: StreamName | None = None,
         epoch: int | None = None,
         first_sequence: int | None = None,
+        got: str = "",
     ) -> None:
         super().__init__(message)
         self.code = code
+        self.got = got
         self.stream = stream
         self.epoch = epoch
         self.first_sequence = first_sequence

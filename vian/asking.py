@@ -16,12 +16,13 @@ from sqlglot.errors import SqlglotError
 
 from store import Log
 from sync.central.lookup import columns_of
-from sync.errors import BadAnswer, CentralError, CentralFailed, CentralUnreachable
+from sync.errors import BadAnswer, CentralError, CentralFailed, CentralUnreachable, Refused
 from sync.protocol.questions import Answer, FindQuestion, QueryQuestion
 from sync.protocol.reports import saved_status
 from vian.errors import WorldFailed, WrongUsage
 from vian.lookup import look_up
-from vian.output import counted, to_json
+from vian.options import check_known
+from vian.output import counted, printable, to_json
 from vian.querying import Scope
 from vian.querying import query as answer_here
 
@@ -117,11 +118,14 @@ def find_at_central(desk: Desk, log: Log, station: str, question: FindQuestion, 
 
     Raises:
         CentralError: Central refuses.
+        WrongUsage: The question is not right.
     """
     rows: list[list[Any]] = []
     while True:
         try:
             answer = desk.find(question)
+        except Refused as error:
+            raise _wrong(error) from error
         except _AWAY as error:
             if rows:
                 raise WorldFailed(
@@ -138,7 +142,13 @@ def find_at_central(desk: Desk, log: Log, station: str, question: FindQuestion, 
 def find_here(
     log: Log, station: str, question: FindQuestion, *, is_all: bool, away: CentralError | None = None
 ) -> Found:
-    """What this station finds in its own log; partial where central was asked and did not answer."""
+    """What this station finds in its own log; partial where central was asked and did not answer.
+
+    Raises:
+        WrongUsage: It was asked of a station or a source that this log does not know.
+    """
+    if away is None:
+        _check_known(log, question)
     found = look_up(log, question, None if is_all else question.limit + 1)
     more = not is_all and len(found) > question.limit
     rows = [list(row.values()) for row in found][: None if is_all else question.limit]
@@ -147,18 +157,28 @@ def find_here(
     return Found(_here(log, station, away, cut), names, rows)
 
 
+def _check_known(log: Log, question: FindQuestion) -> None:
+    """Refuse a station or a source of which the log has nothing: an empty answer would hide the slip."""
+    streams = [head.stream for head in log.streams()]
+    check_known("station", question.station and [question.station], {stream.station for stream in streams})
+    check_known("source", question.source and [question.source], {stream.source for stream in streams})
+
+
 def query_at_central(desk: Desk, log: Log, station: str, question: QueryQuestion) -> tuple[Source, pa.Table]:
     """Central's answer to SQL; this station's, in DuckDB, where central does not answer.
 
     Raises:
         CentralError: Central refuses.
+        WrongUsage: The question is not right.
         WorldFailed: Central does not answer, and this station cannot answer that either.
     """
     try:
         answer = desk.query(question)
+    except Refused as error:
+        raise _wrong(error) from error
     except _AWAY as error:
         try:
-            table = answer_here(log, _for_duckdb(question.sql), Scope())
+            table = answer_here(log, _for_duckdb(question.sql), Scope(is_as_at_central=True))
         except (WrongUsage, SqlglotError) as cause:
             raise WorldFailed(f"{error}. Nor can this station answer it by itself: {cause}") from cause
         cut = f"the limit of {question.limit} rows" if table.num_rows > question.limit else None
@@ -174,6 +194,13 @@ def table_of(answer: Answer) -> pa.Table:
         type_, convert = _ARROW.get(column.type, (pa.string(), _text))
         arrays.append(pa.array([convert(row[place]) for row in rows], type_))
     return pa.Table.from_arrays(arrays, names=[column.name for column in answer.columns])
+
+
+def _wrong(error: Refused) -> Exception:
+    """What a refusal is for who asked: wrong usage, with the place in the question, where the question is not right."""
+    if error.code not in ("bad_question", "unknown_page"):
+        return error
+    return WrongUsage(f"central cannot answer that: {printable(error.got)}")
 
 
 def _for_duckdb(sql: str) -> str:

@@ -14,7 +14,7 @@ from vian.clock import utc_now
 from vian.errors import WrongUsage
 from vian.membership import Membership, load_membership, station_key
 from vian.settings import Settings
-from vian.tls import station_context
+from vian.tls import AGAIN, station_context
 
 _CONNECT_SECONDS = 10.0
 _ANSWER_SECONDS = 60.0
@@ -56,6 +56,6 @@ def central_desk(
     with httpx.Client(base_url=membership.address, timeout=timeout, verify=context, transport=transport) as client:
         bounds = bounded(client)
         try:
-            yield Desk(Central(client, signer), greeting)
+            yield Desk(Central(client, signer, afterwards=AGAIN), greeting)
         finally:
             bounds.abort()

@@ -75,6 +75,8 @@ class Scope:
     until: datetime | None = None
     sources: Sequence[str] | None = None
     stations: Sequence[str] | None = None
+    is_as_at_central: bool = False
+    """Whether tables have the columns `id` and `type` too, as they have for questions to central."""
 
 
 def query(log: Log, sql: str, scope: Scope = Scope()) -> pa.Table:
@@ -154,13 +156,15 @@ def _rows(log: Log, event_type: type[EventType], scope: Scope) -> pa.Table:
     """The row table of a type: envelope columns, then the type's fields."""
     payload = [field.remove_metadata() for field in schema_of(event_type) if field.name != "time"]
     fields = [pa.field(field.name, field.type) for field in payload]
-    schema = pa.schema([*_FRONT, *fields, ("epoch", pa.int32())])
+    epoch = pa.field("epoch", pa.int32())
+    schema = pa.schema([*_EVENTS, *fields] if scope.is_as_at_central else [*_FRONT, *fields, epoch])
     batches, unknown = [], Counter[str]()
     for segment, events in _decoded(log, [event_type.type_name], scope):
         if isinstance(events, UnknownType):
             unknown[str(events)] += segment.header.event_count
         else:
-            batches.append(_with_place(segment, events).select(schema.names).cast(schema))
+            placed = _with_place(segment, events)
+            batches.append(placed.append_column("id", _ids(segment, placed)).select(schema.names).cast(schema))
     for reason, count in unknown.items():
         logger.warning("the answer leaves out %d events: %s", count, reason)
     return pa.Table.from_batches(batches, schema=schema)
@@ -174,10 +178,15 @@ def _events(log: Log, scope: Scope) -> pa.Table:
 
 def _envelope(segment: Segment, events: EventBatch | UnknownType) -> pa.RecordBatch:
     whole = _without_payload(segment) if isinstance(events, UnknownType) else _with_place(segment, events)
+    columns = (whole.column(name) for name in _EVENTS.names[1:])
+    return pa.RecordBatch.from_arrays([_ids(segment, whole), *columns], schema=_EVENTS)
+
+
+def _ids(segment: Segment, events: pa.RecordBatch) -> pa.Array:
+    """The id of each event."""
     life = f"{segment.header.epoch}:" if segment.header.epoch > 1 else ""
     prefix = pa.scalar(f"{segment.stream}/{life}", pa.string())
-    ids = pc.binary_join_element_wise(prefix, whole.column("sequence").cast(pa.string()), "")
-    return pa.RecordBatch.from_arrays([ids, *(whole.column(name) for name in _EVENTS.names[1:])], schema=_EVENTS)
+    return pc.binary_join_element_wise(prefix, events.column("sequence").cast(pa.string()), "")
 
 
 def _with_place(segment: Segment, events: EventBatch) -> pa.RecordBatch:

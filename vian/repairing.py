@@ -17,7 +17,7 @@ from vian.membership import load_membership
 from vian.replication import REQUEST_SECONDS_MAX
 from vian.settings import Settings
 from vian.signatures import key_path
-from vian.tls import station_context
+from vian.tls import AGAIN, station_context
 
 SEQUENCE_MAX = 2**63 - 1
 
@@ -35,7 +35,7 @@ def central_link(log: Log, settings: Settings) -> Iterator[Central]:
         raise WorldFailed("this station is enrolled at no central. Next: vian station enrol CODE --central URL")
     context = station_context(membership.certificate)
     with httpx.Client(base_url=membership.address, timeout=REQUEST_SECONDS_MAX, verify=context) as client:
-        link = Central(client, membership.signer(load_key(key_path(settings))))
+        link = Central(client, membership.signer(load_key(key_path(settings))), afterwards=AGAIN)
         link.hello(Greeting(station_name(settings.station), log.epoch, utc_now(), (), None, None, wants_cursors=False))
         yield link
 

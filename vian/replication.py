@@ -22,6 +22,7 @@ from sync.station.client_v1 import CentralV1
 from sync.station.daemon import Daemon
 from sync.station.deadlines import bounded
 from sync.station.rotation import take_turns
+from sync.station.unreachable import GOES_ON
 from vian.clock import utc_now
 from vian.errors import WrongUsage
 from vian.membership import Membership, check_address, load_membership, station_key
@@ -86,8 +87,8 @@ class Peer:
     """Central as this station reaches it."""
 
     address: str
-    link: Callable[[httpx.Client], Link]
-    """speaks with it over an HTTP client"""
+    link: Callable[[httpx.Client, str], Link]
+    """speaks with it over an HTTP client; the text is what an error tells of what becomes of it all"""
     certificate: str | None = None
     """the one that it must show, as PEM; None: one of an authority that is known"""
     public_key: bytes | None = None
@@ -96,7 +97,7 @@ class Peer:
 
 def peer_by_token(address: str, token: str) -> Peer:
     """Central for a station of its stations file: protocol 1."""
-    return Peer(address, lambda client: CentralV1(client, token))
+    return Peer(address, lambda client, afterwards: CentralV1(client, token, afterwards=afterwards))
 
 
 def peer_by_membership(membership: Membership, key: StationKey, address: str | None = None) -> Peer:
@@ -110,7 +111,7 @@ def peer_by_membership(membership: Membership, key: StationKey, address: str | N
     signer = membership.signer(key)
     return Peer(
         address or membership.address,
-        lambda client: Central(client, signer),
+        lambda client, afterwards: Central(client, signer, afterwards=afterwards),
         membership.certificate,
         membership.central_key,
     )
@@ -146,6 +147,7 @@ def station_daemon(
     now: Callable[[], datetime] = utc_now,
     transport: httpx.BaseTransport | None = None,
     pace: Pace = PACE,
+    afterwards: str = GOES_ON,
 ) -> Iterator[Daemon]:
     """A daemon that sends the station's streams to central, for the length of the block.
 
@@ -157,6 +159,7 @@ def station_daemon(
         now: The station's clock.
         transport: Carries the requests; over the network by default.
         pace: How much at a time.
+        afterwards: What becomes of it when central is back, for messages.
 
     Raises:
         WrongUsage: The log is another station's.
@@ -181,7 +184,7 @@ def station_daemon(
                 log,
                 station_name(station),
                 plan,
-                peer.link(client),
+                peer.link(client, afterwards),
                 now=now,
                 random=random.random,
                 pace=pace,
@@ -194,17 +197,36 @@ def station_daemon(
 
 
 def sync_part(daemon: Daemon) -> Part:
-    """The daemon as a supervised part; a failure that lasts is logged once."""
-    told: list[str] = []
+    """The daemon as a supervised part, which tells the program's log what an operator should know."""
+    telling = Telling(daemon)
+    return Part("sync", lambda stop: daemon.run(stop, telling))
 
-    def tell(step: Step) -> None:
+
+class Telling:
+    """Tells the program's log of a failure that lasts, and of another daemon beside this one: once each."""
+
+    def __init__(self, daemon: Daemon) -> None:
+        self._daemon = daemon
+        self._error: str | None = None
+        self._others = 0
+
+    def __call__(self, step: Step) -> None:
+        """Take in what a step was."""
         for each in step.gone:
             logger.error("payload gone here and at central", range=each, next="vian sync status")
-        if step.error is not None and told != [str(step.error)]:
-            told[:] = [str(step.error)]
-            logger.warning("sync waits", error=str(step.error))
-        elif step.did == "sent" and told:
-            told.clear()
+        if step.error is not None and self._error != str(step.error):
+            self._error = str(step.error)
+            logger.warning("sync waits", error=self._error)
+        elif step.did == "sent" and self._error is not None:
+            self._error = None
             logger.info("sync goes on")
+        if (others := self._daemon.other_daemons) != self._others:
+            self._others = others
+            self._tell_others()
 
-    return Part("sync", lambda stop: daemon.run(stop, tell))
+    def _tell_others(self) -> None:
+        if self._others:
+            advice = "stop all vian sync and vian serve of this station but one"
+            logger.warning("another daemon runs for this station too", count=self._others, next=advice)
+        else:
+            logger.info("no other daemon runs for this station any more")

@@ -32,7 +32,7 @@ from vian.settings import Settings
 from vian.signatures import key_path
 from vian.spans import span
 from vian.sync_view import StationView, station_view
-from vian.tls import certificate_pin, station_context
+from vian.tls import AGAIN, certificate_pin, station_context
 
 CONNECT_SECONDS = 10.0
 CERTIFICATE_NOTE_DAYS = 21
@@ -257,7 +257,7 @@ def _lasting(certificate: x509.Certificate, host: str) -> Finding:
 def _hello(log: Log, station: Station, peer: Peer, asked: datetime) -> HelloAnswer:
     context = station_context(peer.certificate)
     with httpx.Client(base_url=peer.address, timeout=CONNECT_SECONDS, verify=context) as client:
-        return peer.link(client).hello(Greeting(station, log.epoch, asked, (), None, None))
+        return peer.link(client, AGAIN).hello(Greeting(station, log.epoch, asked, (), None, None))
 
 
 def _explained(error: CentralError) -> str:

@@ -9,9 +9,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 
-from events import CheckpointCountersigned, CheckpointSigned, Station, StreamName
+from events import CheckpointSigned, Station, StreamName
 from store import Log, StreamHead, health
 from store.sizes import Part, Size, sizes
+from sync.keeping.countersigning import newest_countersigned
 from sync.keeping.gone import gone_in, told_at_station
 from sync.plans.deriving import CHECKPOINT as DERIVED
 from sync.plans.entries import base_of, derived_name
@@ -136,7 +137,7 @@ def station_view(log: Log, station: Station, now: datetime, default: Plan) -> St
         failures=status.failures if status else 0,
         last_error=status.last_error if status else None,
         other_daemons=status.other_daemons if status else 0,
-        countersigned=_newest_sequence(own, CheckpointCountersigned.type_name),
+        countersigned=newest_countersigned(log, station),
         signed=_newest_sequence(own, CheckpointSigned.type_name) or 0,
         days_left=days_left(log),
         notes=(

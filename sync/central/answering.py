@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from typing import Any, Literal, TypeVar
 
-from events import Draft, Producer, QueryAnswered, Station, StreamName, batch_of, encode
+from events import Draft, Producer, QueryAnswered, Station, StreamName, batch_of, encode, station_name
 from store import Log, Transaction
 from store.errors import QuestionFailed, QuestionTooDear
 from store.field import Cost, FieldSession, field_session, field_tables, read_session, standing
@@ -26,6 +26,7 @@ from sync.central.pages import Pages
 from sync.central.places import Places
 from sync.central.selects import COLUMNS_MAX, permitted
 from sync.errors import Refusal, SelectRefused, WireError
+from sync.keeping.held import held_of
 from sync.protocol.questions import Answer, AnswerColumn, FindQuestion, QueryQuestion
 from sync.protocol.wire import Message, parse
 
@@ -35,6 +36,7 @@ Outcome = Literal["answered", "cut", "refused", "timed_out", "failed"]
 
 _PRODUCER = Producer("questions", "1", hashlib.sha256(b"{}").digest())
 _REASON_MAX = 1_000
+_KNOWN_MAX = 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,6 +123,7 @@ class Answering:
     def _found(self, caller: Caller, question: FindQuestion, record: "_Record") -> bytes:
         if question.station is not None and not caller.may_read(question.station):
             raise _not_granted(f"events of station {question.station}", caller)
+        self._check_known(caller, question.station)
         asked = question.asked()
         after = None if question.page is None else self._pages.opened(caller.station, asked, question.page)
         columns, limit = columns_of(question.kind), min(question.limit, self._limits.rows_max)
@@ -134,6 +137,18 @@ class Answering:
         record.note(told)
         more = None if key is None else self._pages.sealed(caller.station, asked, key)
         return self._answer(columns, told, stands, more)
+
+    def _check_known(self, caller: Caller, station: str | None) -> None:
+        """Refuse a station that nobody knows here, to who may know all: an empty answer would hide the slip.
+
+        Raises:
+            Refusal: It is not known.
+        """
+        if station is None or EVERY_STATION not in caller.reads or held_of(self._log, station_name(station)):
+            return
+        known = sorted({str(head.stream.station) for head in self._log.streams()})
+        shown = f"{', '.join(known[:_KNOWN_MAX])}{', ...' if len(known) > _KNOWN_MAX else ''}" or "none yet"
+        raise _bad_question(f"no station {station!r} in central's log; known: {shown}", "a station that is known")
 
     def _selected(self, caller: Caller, question: QueryQuestion, record: "_Record") -> bytes:
         try:

@@ -12,14 +12,17 @@ from datetime import datetime
 from typing import Protocol
 
 from events import CorruptSegment, PayloadGone, Segment, Station, StreamName, UnknownType, chain, decode
+from events.segment import PAYLOAD_MAX_BYTES
 from store import ChainBroken, Log, SequenceConflict, Transaction
 from store.writing import Appended
 from sync.errors import ProtocolMismatch, Refusal, WireError
 from sync.keeping.held import held_of, runs_of
 from sync.keeping.repair import Wanted
-from sync.protocol.unpacking import check_unpacked
+from sync.protocol.unpacking import check_unpacked, unpacked_bytes
 from sync.protocol.wire import (
+    CURSORS_MAX,
     PROTOCOLS,
+    RUNS_MAX,
     Cursor,
     Hello,
     HelloAnswer,
@@ -31,7 +34,7 @@ from sync.protocol.wire import (
     parse,
     program,
 )
-from sync.runs import StreamKey
+from sync.runs import Runs, StreamKey
 
 SEQUENCE_MAX = 2**63 - 2
 """What follows the last event must still be a number that the log can hold."""
@@ -132,6 +135,7 @@ def store_2(
         LogUnavailable: The database is away; if it went away during the commit, the segments may have
             been stored.
     """
+    _check_room(log, records[0].segment.stream.station, records)
     appended = store_records(log, records, still_allowed)
     duplicates = sum(one.was_there for one in appended)
     new = [record.segment for record, one in zip(records, appended, strict=True) if not one.was_there]
@@ -200,14 +204,75 @@ def check(log: Log, station: Station, records: Sequence[Record], *, may_lack_pay
             continue
         _check_payload_hash(segment)
         try:
-            decode(segment, log.catalogue, as_stored=True)
-        except UnknownType:
-            pass  # A newer station's: kept, shipped on and verified; whoever reads it is told.
+            _check_holds(log, segment)
         except (CorruptSegment, PayloadGone) as error:
             # The chain tells a lie of the station's from what was damaged on the way.
             is_meant = chain(record.previous, header, segment.payload_hash) == segment.chain_hash
             code = "false_header" if is_meant else "bad_header"
             raise corrupt(segment, code, str(error), "a payload that holds what the header says") from error
+
+
+def _check_holds(log: Log, segment: Segment) -> None:
+    """Nothing, if the payload holds what the header says, as far as its type is known here.
+
+    Raises:
+        CorruptSegment: It does not.
+    """
+    try:
+        decode(segment, log.catalogue, as_stored=True)
+    except UnknownType:
+        # A newer station's: kept, shipped on and verified; whoever reads it is told. Nobody shall unpack a bomb then.
+        if (declared := unpacked_bytes(segment.payload)) > PAYLOAD_MAX_BYTES:
+            raise CorruptSegment(
+                f"{segment.stream} from sequence {segment.header.first_sequence}: the payload declares {declared} "
+                f"bytes, at most {PAYLOAD_MAX_BYTES} are allowed"
+            ) from None
+
+
+def _check_room(log: Log, station: Station, records: Sequence[Record]) -> None:
+    """Nothing, if an answer to hello can still name all that the station has here with these segments.
+
+    Several requests at once may each take the last place; there are few, so it is a bound all the same.
+
+    Raises:
+        Refusal: It cannot.
+    """
+    begun = [each for each in records if each.begins_run or each.segment.header.first_sequence == 1]
+    if not begun:
+        return
+    held = runs_of(log, _keys(begun))
+    added = sum(not runs for runs in held.values())
+    if added and (there := _streams_of(log, station)) + added > CURSORS_MAX:
+        raise _no_room(begun[0].segment, "too_many_streams", f"{there} streams here and {added} more", CURSORS_MAX)
+    for key, runs in held.items():
+        jumps = [each.segment for each in begun if each.begins_run and _key(each) == key and not _is_held(each, runs)]
+        if jumps and len(runs) + len(jumps) > RUNS_MAX:
+            raise _no_room(jumps[0], "too_many_runs", f"{len(runs)} runs of it here and {len(jumps)} more", RUNS_MAX)
+
+
+def _is_held(record: Record, runs: Runs) -> bool:
+    return any(run.after < record.segment.header.first_sequence <= run.sequence for run in runs)
+
+
+def _streams_of(log: Log, station: Station) -> int:
+    with log.connection() as connection:
+        row = connection.execute("select count(*) from streams where station = %s", (station,)).fetchone()
+    assert row is not None, "a count is a row"
+    return int(row[0])
+
+
+def _no_room(segment: Segment, code: str, got: str, most: int) -> Refusal:
+    return Refusal(
+        422,
+        code,
+        f"there is no room for the segment of {segment.stream} from sequence {segment.header.first_sequence}",
+        got,
+        f"at most {most}",
+        "send less: vian sync plan set FILE on the station, with fewer streams, or with order: oldest",
+        segment.stream,
+        segment.header.epoch,
+        segment.header.first_sequence,
+    )
 
 
 def store_records(
@@ -337,4 +402,8 @@ def _conflict(log: Log, records: Sequence[Record], error: SequenceConflict | Cha
 
 
 def _keys(records: Sequence[Record]) -> list[StreamKey]:
-    return list(dict.fromkeys(StreamKey(each.segment.stream, each.segment.header.epoch) for each in records))
+    return list(dict.fromkeys(map(_key, records)))
+
+
+def _key(record: Record) -> StreamKey:
+    return StreamKey(record.segment.stream, record.segment.header.epoch)

@@ -10,7 +10,7 @@ from fastapi import Request, Response
 from fastapi.responses import JSONResponse
 from fastapi.routing import APIRoute
 
-from store import LogUnavailable
+from store import DiskNearlyFull, LogUnavailable
 from sync.central.refusals import Kind
 from sync.errors import Refusal
 from sync.protocol.wire import Cursor, Problem
@@ -28,6 +28,8 @@ RESPONSES: dict[int | str, dict[str, Any]] = {
     status: {"model": Problem, "description": description}
     for status, description in (
         (400, "not the protocol"),
+        (404, "no such request, or nothing of what was asked for is held"),
+        (405, "not a POST"),
         (401, "not known, not signed, or not new"),
         (403, "another station's name or stream, or not granted"),
         (408, "the body stopped coming"),
@@ -90,6 +92,8 @@ def answer(refusal: Refusal, cursors: list[dict[str, Any]]) -> Response:
     )
     headers = {
         401: {"WWW-Authenticate": "Bearer", "Connection": "close"},
+        404: {"Connection": "close"},
+        405: {"Allow": "POST", "Connection": "close"},
         # What is still coming of the body is not wanted.
         403: {"Connection": "close"},
         408: {"Connection": "close"},
@@ -102,13 +106,19 @@ def answer(refusal: Refusal, cursors: list[dict[str, Any]]) -> Response:
 
 
 def unavailable(error: LogUnavailable) -> Refusal:
-    """What a station is told while central's database is away."""
+    """What a station is told while central's database is away, or takes no more."""
+    if isinstance(error, DiskNearlyFull):
+        said = str(error).partition(". Next: ")[0]
+        return Refusal(
+            503, "disk_nearly_full", "central's disk is nearly full", said, "room on it", "make room on central's disk"
+        )
     return Refusal(
         503, "log_unavailable", "central's database is away", str(error), "a database", "vian doctor on central"
     )
 
 
 def _kind(request: Request, refusal: Refusal) -> Kind:
-    endpoint = request.url.path.rpartition("/sync/")[2].partition("/")[2]
+    path = request.url.path.rpartition("/sync/")[2].partition("/")[2]
+    endpoint = getattr(request.state, "endpoint", path)
     address = request.client.host if request.client is not None else None
     return Kind(getattr(request.state, "claimed", None), endpoint, refusal.code, address)

@@ -58,6 +58,7 @@ from sync.protocol.wire_v1 import PATH as PATH_1
 from sync.protocol.wire_v1 import PROTOCOL as PROTOCOL_1
 from sync.protocol.wire_v1 import Hello as Hello1
 from sync.protocol.wire_v1 import HelloAnswer, SegmentsAnswer, parse_versioned
+from sync.text import one_line
 
 Storing = Callable[[], AbstractContextManager[None]]
 """Makes what is entered while segments are stored."""
@@ -151,6 +152,30 @@ def router(
         door = Door(access, most)
         api.include_router(_version_2(log, door, most, now, note, answers, while_storing, contacts, on_hollow))
         api.include_router(_repairs(log, door, most, now, note))
+    api.include_router(_rest(note))
+    return api
+
+
+def _rest(note: Note) -> APIRouter:
+    """What is asked under /sync/ and is no request of any version here: refused and noted like all else."""
+    api = APIRouter(route_class=problem_route(note, cursors_2))
+
+    @api.api_route(
+        "/sync/{rest:path}", methods=["GET", "HEAD", "POST", "PUT", "PATCH", "DELETE"], include_in_schema=False
+    )
+    def unknown(request: Request) -> None:
+        claim(request, request.headers.get(STATION_HEADER))
+        is_post = request.method == "POST"
+        request.state.endpoint = "unknown"  # what a stranger writes there must not become many kinds
+        raise Refusal(
+            404 if is_post else 405,
+            "unknown_request" if is_post else "wrong_method",
+            "central answers no such request",
+            f"{request.method} {one_line(request.url.path, 200)}",
+            "a POST to one of the paths that GET / names",
+            "bring station and central to the same ViAn: pip install --upgrade vian",
+        )
+
     return api
 
 

@@ -25,6 +25,8 @@ COLUMNS_MAX = 100
 DEPTH_MAX = 60
 """Most parts that lie within one another."""
 
+_SHOWN_MAX = 120
+"""Most letters of the line in which something is wrong; an answer has room for a few lines only."""
 _DIALECT = "postgres"
 _RENAMED = "asked_"
 """Begins the names that a question gives by WITH, so that none can stand for a table of the database."""
@@ -390,5 +392,7 @@ def _with_parts(part: exp.Expr) -> Iterator[exp.Expr]:
 def _shown(sql: str, line: int, column: int) -> str:
     """The place, and the line with a caret below it."""
     lines = sql.splitlines() or [""]
-    text = lines[min(line, len(lines)) - 1]
-    return f" (line {line}, column {max(column, 1)})\n  {text}\n  {' ' * (max(column, 1) - 1)}^"
+    text, at = lines[min(line, len(lines)) - 1], max(column, 1) - 1
+    begin = max(0, at - _SHOWN_MAX // 2)
+    shown = text[begin : begin + _SHOWN_MAX]
+    return f" (line {line}, column {at + 1})\n  {shown}\n  {' ' * (at - begin)}^"

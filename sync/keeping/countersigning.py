@@ -254,6 +254,10 @@ class Countersigning:
             transaction.save_checkpoint(VOID, position)
         self._agreed, self.sequence = set(), None
 
+    def look_again(self) -> None:
+        """Look at the next question what is due, however short ago the last look was."""
+        self._looked_at = None
+
     def gave_up(self) -> None:
         """Central did not sign: the next checkpoint is another chance."""
         self._newest = None
@@ -295,20 +299,39 @@ class Countersigning:
 
     def _last_signed(self) -> list[Held] | None:
         """What the newest countersignature that counts says is held; None where there is none."""
-        lives = self._log.lives(self._stream)
-        if not lives:
-            return None
-        (segment,) = self._log.read(self._stream, lives[-1].sequence, epoch=lives[-1].epoch)
-        if segment.position <= self._log.checkpoint(VOID).position:
-            return None
+        event = _newest(self._log, self._stream)
         try:
-            event = events_of(decode(segment, self._log.catalogue))[-1]
-            assert isinstance(event, CheckpointCountersigned), "the stream holds these only"
-            said = held_in(event.held)
-        except (EventError, ValueError):
+            heads = None if event is None else held_in(event.held)
+        except ValueError:
             return None  # of a newer release: asked anew
-        self.sequence = event.checkpoint_sequence
-        return said
+        self.sequence = None if event is None else event.checkpoint_sequence
+        return heads
+
+
+def newest_countersigned(log: Log, station: Station) -> int | None:
+    """Sequence of the newest checkpoint of the station that central countersigned; None where none counts.
+
+    Raises:
+        LogUnavailable: The database is away.
+    """
+    event = _newest(log, StreamName.of(station, SOURCE, CheckpointCountersigned.type_name))
+    return None if event is None else event.checkpoint_sequence
+
+
+def _newest(log: Log, stream: StreamName) -> CheckpointCountersigned | None:
+    """The newest countersignature; None where there is none that counts, or it is of a newer release."""
+    lives = log.lives(stream)
+    if not lives:
+        return None
+    (segment,) = log.read(stream, lives[-1].sequence, epoch=lives[-1].epoch)
+    if segment.position <= log.checkpoint(VOID).position:
+        return None
+    try:
+        event = events_of(decode(segment, log.catalogue))[-1]
+    except EventError:
+        return None
+    assert isinstance(event, CheckpointCountersigned), "the stream holds these only"
+    return event
 
 
 def _among(runs: Runs, head: StreamHead) -> Held | None:

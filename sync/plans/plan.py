@@ -26,6 +26,12 @@ from sync.plans.plan_values import no_text, time_text, truth
 __all__ = ["LANES", "Entry", "GiveUp", "Plan", "base_of", "derived_name"]
 
 ENTRIES_MAX = 1000
+_MISSING: Mapping[tuple[int | str, ...], str] = {
+    ("entries",): "must be there: a list of entries, such as {stream: '*/*/situation_detected'}",
+    ("stream",): "must be there: station/source/type, such as '*/gate/plate_read'",
+    ("older_than",): "must be there: a duration, such as 7 d",
+}
+"""What is said of a key that must be there and is not."""
 BACKLOG_SHARE_MAX = 0.9
 
 
@@ -182,6 +188,8 @@ def _reason(name: str, error: ValidationError, lines: Mapping[tuple[Hashable, ..
         message = each["msg"].removeprefix("Value error, ")
         if each["type"] == "extra_forbidden":
             message = f"unknown key; known: {', '.join(_known_keys(where))}"
+        if each["type"] == "missing":
+            message = _MISSING.get(where[-1:], "must be there")
         given = each["input"]
         has_shown_it = "\n" in message
         got = f"; got {no_text(given)}" if isinstance(given, str | int | float | bool) and not has_shown_it else ""

@@ -104,7 +104,7 @@ class StreamStatus:
     sequence: int
     """Newest event here."""
     cursor: int | None
-    """Newest event at central; None before the first hello."""
+    """Newest event at central; None before the first hello, and where central holds another history of the stream."""
     backlog: int | None
     """Events that central lacks and that the plan sends, gaps below its newest included."""
     error: str | None

@@ -315,7 +315,6 @@ class Hello(Message):
     station: StationText
     epoch: EpochNumber
     time: AwareDatetime
-    challenge: Text = ""
     streams: Annotated[tuple[StreamState, ...], Field(max_length=STREAMS_MAX)] = ()
     cursors_hash: HashText | None = None
     """hash of what it believes that central holds; null where it does not know"""
@@ -352,8 +351,6 @@ class HelloAnswer(Message):
     segments_max: Annotated[int, Field(ge=1)]
     bits_per_s_max: Annotated[int, Field(ge=1)] | None = None
     """most that the station may send"""
-    countersigned: HashText | None = None
-    """hash of the station's newest statement that central countersigned"""
     wanted: Annotated[tuple[Range, ...], Field(max_length=1000)] = ()
     """ranges that are damaged at central, which it asks the station for"""
 

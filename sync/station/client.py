@@ -47,6 +47,7 @@ from sync.protocol.wire import (
 )
 from sync.runs import Point, Runs, StreamKey, end_of
 from sync.station.exchange import DEADLINE_S, Exchange
+from sync.station.unreachable import GOES_ON
 
 JSON = {"Content-Type": "application/json"}
 
@@ -113,15 +114,22 @@ class Central:
         signer: An `httpx.Auth` that signs each request, such as `sync.protocol.signing.RequestSigner`; None sends them
             unsigned, which no central takes but one in tests.
         deadline_s: Longest time of an exchange, but for what its body takes.
+        afterwards: What an error tells that becomes of what was to be done, once central is back.
     """
 
     protocol = PROTOCOL
     may_jump = True
     knows_all = True
 
-    def __init__(self, client: httpx.Client, signer: Signer | None, deadline_s: float = DEADLINE_S) -> None:
+    def __init__(
+        self,
+        client: httpx.Client,
+        signer: Signer | None,
+        deadline_s: float = DEADLINE_S,
+        afterwards: str = GOES_ON,
+    ) -> None:
         assert signer is None or isinstance(signer, httpx.Auth), "a signer is handed to httpx"
-        self._exchange = Exchange(client, PATH, PROTOCOL, signer, deadline_s)
+        self._exchange = Exchange(client, PATH, PROTOCOL, signer, deadline_s, afterwards)
         self._signer = signer
 
     @property
@@ -144,7 +152,6 @@ class Central:
             station=greeting.station,
             epoch=greeting.epoch,
             time=greeting.time,
-            challenge=challenge.challenge,
             streams=_named(greeting),
             cursors_hash=None if greeting.believed is None else cursors_hash(greeting.believed.items()),
             checkpoint=greeting.checkpoint,

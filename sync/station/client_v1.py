@@ -37,6 +37,7 @@ from sync.protocol.wire_v1 import (
 from sync.runs import StreamKey
 from sync.station.client import JSON, Greeting
 from sync.station.exchange import DEADLINE_S, UPGRADE, Exchange
+from sync.station.unreachable import GOES_ON
 
 _HOLLOW = "its payload left the disk, which protocol 1 cannot say. Next: vian station enrol CODE --central URL"
 
@@ -57,8 +58,10 @@ class CentralV1:
     may_jump = False
     knows_all = False
 
-    def __init__(self, client: httpx.Client, token: str, deadline_s: float = DEADLINE_S) -> None:
-        self._exchange = Exchange(client, PATH, PROTOCOL, deadline_s=deadline_s)
+    def __init__(
+        self, client: httpx.Client, token: str, deadline_s: float = DEADLINE_S, afterwards: str = GOES_ON
+    ) -> None:
+        self._exchange = Exchange(client, PATH, PROTOCOL, deadline_s=deadline_s, afterwards=afterwards)
         self._authorization = {"Authorization": f"Bearer {checked_token(token)}"}
 
     @property

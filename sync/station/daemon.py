@@ -17,10 +17,20 @@ from dataclasses import dataclass, replace
 from datetime import datetime
 from itertools import pairwise
 from time import monotonic as steady
+from time import sleep
 
 from events import Station
 from store import Log, LogUnavailable, SequenceConflict
-from sync.errors import BadAnswer, CentralError, PlanError, Refusal, Refused, SegmentRefused, StreamStopped
+from sync.errors import (
+    BadAnswer,
+    CentralError,
+    HeadsDisagree,
+    PlanError,
+    Refusal,
+    Refused,
+    SegmentRefused,
+    StreamStopped,
+)
 from sync.keeping.countersigning import Countersigning
 from sync.keeping.gone import GoneRecorder
 from sync.keeping.repair import records_for
@@ -39,6 +49,9 @@ from sync.station.pacing import Caps, Meter, Sizer
 from sync.station.reporting import Reporter
 from sync.station.scheduling import Share, Work, chosen, in_order
 from sync.station.standing import Standing
+
+_FOR_GOOD = ("false_header", "too_many_streams", "too_many_runs")
+"""Codes of refusals that the same segment meets again."""
 
 
 class Daemon:
@@ -117,8 +130,14 @@ class Daemon:
         """Do one bounded thing, and say what it was."""
         step = self._step()
         is_at_work = step.did not in ("nothing", "sending")
-        self._reporter.report(self._state, self._contact.last_error, self.status, is_at_work=is_at_work)
+        error = self._contact.last_error or self._stop_reason()
+        self._reporter.report(self._state, error, self.status, is_at_work=is_at_work)
         return step
+
+    @property
+    def other_daemons(self) -> int:
+        """Others that were seen to run for this station of late: one too many, which does no harm."""
+        return self._reporter.others
 
     def run(self, stop: threading.Event, on_step: Callable[[Step], None] | None = None) -> None:
         """Step until `stop` is set; sleep between steps until the log grows or a pause is over.
@@ -159,19 +178,31 @@ class Daemon:
             if not self.meanwhile():
                 stop.wait(left)
 
-    def catch_up(self) -> int:
+    def catch_up(self, pause: Callable[[float], object] = sleep) -> int:
         """Number of events sent until nothing was left to do.
+
+        Args:
+            pause: Waits so many seconds, where a cap on the rate wants it.
 
         Raises:
             SyncError: A step failed or a stream was stopped; what was acknowledged stays at central.
             LogUnavailable: The station's database is away.
         """
-        events = 0
-        while (step := self.step()).did != "nothing":
+        events, is_looked_over = 0, False
+        while True:
+            step = self.step()
             if step.error is not None:
                 raise step.error
             events += step.events
-        return events
+            if step.did != "nothing":
+                continue
+            if self._state == "sending":
+                pause(step.sleep_s)
+                continue
+            if is_looked_over:
+                return events
+            self._countersigning.look_again()  # What was too early a moment ago may be due, and nobody comes later.
+            is_looked_over = True
 
     def status(self) -> Status:
         """Where each planned stream stands, by the station's log and central's last word.
@@ -203,7 +234,9 @@ class Daemon:
         planned, held = self._standing.planned[key], self._standing.acknowledged
         stopped, sent = self._standing.stopped.get(key), self._sent.get(key)
         backlog, cursor = self._standing.backlog(key), None
-        if held is not None:
+        if isinstance(stopped, HeadsDisagree):
+            backlog = None  # What central holds is another history: nothing of this one.
+        elif held is not None:
             cursor = end_of(held.get(key, ())).sequence
         elif before is not None and before.backlog is not None:
             cursor, backlog = before.cursor, before.backlog + max(0, planned.head.sequence - before.sequence)
@@ -373,8 +406,10 @@ class Daemon:
 
     def _countersign(self) -> Step | None:
         held = self._standing.acknowledged
-        request = self._countersigning.due(self._standing.here(), held) if held is not None else None
-        if request is None or len(self._flights):
+        if held is None or len(self._flights):
+            return None
+        request = self._countersigning.due(self._standing.here(), held)
+        if request is None:
             return None
         try:
             answer = self._central.countersign(request)
@@ -462,7 +497,7 @@ class Daemon:
         self._standing.doubt()
         self._outbox.forget()
         self._state = "waiting"
-        if isinstance(error, Refused) and error.code == "false_header":
+        if isinstance(error, Refused) and error.code in _FOR_GOOD:
             self._stop_refused(error)
         return Step("failed", self._contact.pause_after(error), error=error)
 

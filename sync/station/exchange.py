@@ -23,7 +23,7 @@ from sync.errors import (
 )
 from sync.protocol.wire import Problem, parse
 from sync.station.deadlines import deadline
-from sync.station.unreachable import why_unreachable
+from sync.station.unreachable import GOES_ON, why_unreachable
 from sync.text import one_line
 
 DEADLINE_S = 60.0
@@ -42,6 +42,7 @@ class Exchange:
         version: The protocol's version, for messages.
         auth: Signs each request.
         deadline_s: Longest time of an exchange, but for what its body takes.
+        afterwards: What an error tells that becomes of what was to be done, once central is back.
     """
 
     def __init__(
@@ -51,12 +52,14 @@ class Exchange:
         version: int,
         auth: httpx.Auth | None = None,
         deadline_s: float = DEADLINE_S,
+        afterwards: str = GOES_ON,
     ) -> None:
         self._client = client
         self._path = path
         self._version = version
         self._auth = auth
         self._deadline_s = deadline_s
+        self._afterwards = afterwards
 
     @property
     def address(self) -> str:
@@ -80,16 +83,26 @@ class Exchange:
             ):
                 data = self._read(response, answer_bytes_max)
         except httpx.TimeoutException as error:
-            raise CentralUnreachable(f"central at {self.address} gave no answer in time ({_said(error)})") from error
-        except httpx.HTTPError as error:
             raise CentralUnreachable(
-                f"central at {self.address} cannot be reached: {why_unreachable(error)}"
+                f"central at {self.address} gave no answer in time ({_said(error)}). Next: check the link, and vian "
+                f"doctor on central; {self._afterwards}"
             ) from error
+        except httpx.HTTPError as error:
+            raise CentralUnreachable(f"central at {self.address} cannot be reached: {self._why(error)}") from error
         if response.status_code == 200:
             if response.headers.get("content-type", "").startswith("text/html"):
                 raise self.bad_answer(f"a web page: {_seen(response, data)}")
             return data
         raise self._error(response, data)
+
+    def _why(self, error: httpx.HTTPError) -> str:
+        if isinstance(error, httpx.RemoteProtocolError) and self._client.base_url.scheme == "http":
+            address = self._client.base_url.copy_with(scheme="https", username=None, password=None)
+            return (
+                f"what listens there speaks no http ({_said(error)}); perhaps it speaks TLS. "
+                f"Next: --central {str(address).rstrip('/')}; {self._afterwards}"
+            )
+        return why_unreachable(error, self._afterwards)
 
     def _read(self, response: httpx.Response, bytes_max: int) -> bytes:
         data = bytearray()
@@ -116,7 +129,12 @@ class Exchange:
             return CentralFailed(said)
         stream = StreamName.parse(problem.stream) if problem.stream else None
         return Refused(
-            said, code=problem.code, stream=stream, epoch=problem.epoch, first_sequence=problem.first_sequence
+            said,
+            code=problem.code,
+            stream=stream,
+            epoch=problem.epoch,
+            first_sequence=problem.first_sequence,
+            got=problem.got,
         )
 
     def _foreign_error(self, response: httpx.Response, data: bytes) -> CentralError:
@@ -133,7 +151,10 @@ class Exchange:
                 "Next: raise its limit (nginx: client_max_body_size), or lower the bytes of a request"
             )
         if status >= 500:
-            return CentralFailed(f"central at {self.address} or a proxy before it failed: {_seen(response, data)}")
+            return CentralFailed(
+                f"central at {self.address} or a proxy before it failed: {_seen(response, data)}. "
+                f"Next: vian doctor on central, and look at the proxy's log; {self._afterwards}"
+            )
         return self.bad_answer(_seen(response, data))
 
     def bad_answer(self, what: str) -> BadAnswer:

@@ -28,6 +28,8 @@ class Reporter:
         self._monotonic = monotonic
         self._saved: tuple[float, State, str | None] | None = None
         self._others: dict[str, float] = {}
+        self.others = 0
+        """Other daemons that were seen to run for this station of late."""
 
     def report(self, state: State, error: str | None, status: Callable[[], Status], *, is_at_work: bool) -> None:
         """Save the status if it is time.
@@ -53,8 +55,8 @@ class Reporter:
             before = _read(transaction.checkpoint(CHECKPOINT).state)
             if before is not None and before.daemon != self._name and self._saved is not None:
                 self._others[before.daemon] = at
-            others = [name for name, seen in self._others.items() if at - seen < _OTHERS_S]
-            saved = replace(status, saved_at=self._now(), daemon=self._name, other_daemons=len(others))
+            self.others = sum(at - seen < _OTHERS_S for seen in self._others.values())
+            saved = replace(status, saved_at=self._now(), daemon=self._name, other_daemons=self.others)
             transaction.save_checkpoint(CHECKPOINT, position, saved.to_json())
 
 

@@ -12,6 +12,7 @@ import httpx
 from sync.text import one_line
 
 GOES_ON = "nothing is lost, it goes on by itself when central is back"
+"""Of a daemon that runs on."""
 
 _CERTIFICATE = {
     9: ("its certificate is not valid yet", "set this machine's clock: timedatectl"),

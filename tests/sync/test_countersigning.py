@@ -15,6 +15,7 @@ from sync import BadAnswer, Daemon, Plan, Refusal
 from sync.keeping.countersigned import Held, countersigned_bytes, held_in, is_countersigned
 from sync.keeping.countersigning import countersign
 from sync.keeping.pruning import Pruner
+from sync.protocol.reports import Pace
 from sync.protocol.wire import CountersignRequest
 from tests.store.tiered import seal_all
 from tests.sync.conftest import (
@@ -69,6 +70,20 @@ def test_a_checkpoint_that_central_holds_is_countersigned_once(station_log: Log,
     assert (event.of_station, event.checkpoint_sequence) == ("brno-2", 1)
     assert {str(each.head.stream): each.head.sequence for each in held_in(event.held)} == {"brno-2/gate/track_point": 5}
     assert daemon.status().countersigned == 1
+
+
+def test_who_catches_up_leaves_no_checkpoint_behind(station_log: Log, make: MakeDaemon) -> None:
+    append_points(station_log, stream_of(), [3] * 40)
+    append_points(station_log, stream_of("yard"), [3] * 40)
+    sign(station_log)
+    daemon = make(
+        plan=Plan.of({"entries": [{"stream": "*/log/*", "priority": 0}, {"stream": "*/*/*"}]}),
+        pace=Pace(in_flight=2, request_bytes=1024, request_bytes_min=1024),
+    )
+    daemon.catch_up()
+
+    assert {each.head.sequence for each in held_in(given(station_log)[-1].held)} == {120}
+    assert len(held_in(given(station_log)[-1].held)) == 2
 
 
 def test_signing_alone_leads_to_no_more_signatures(station_log: Log, make: MakeDaemon) -> None:

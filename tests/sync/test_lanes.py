@@ -285,6 +285,21 @@ def test_two_daemons_see_each_other(station_log: Log, make_daemon: MakeDaemon) -
     assert status.other_daemons == 1
 
 
+def test_who_catches_up_waits_for_the_rate(station_log: Log, central_log: Log, make_daemon: MakeDaemon) -> None:
+    append_points(station_log, stream_of(), [50] * 20)
+    clock = [0.0]
+
+    def pause(seconds: float) -> None:
+        clock[0] += max(seconds, 0.001)  # the last of a debt may be less than the clock can tell
+
+    capped = Plan.of({"rate": "1 kbit/s", "entries": [{"stream": "*/*/*", "order": "oldest"}]})
+    daemon = make_daemon(plan=capped, monotonic=lambda: clock[0], pace=Pace(request_bytes=8192, request_bytes_min=8192))
+    daemon.catch_up(pause)
+
+    assert stored(central_log) == stored(station_log)
+    assert clock[0] > 0
+
+
 def test_a_run_is_what_the_log_says() -> None:
     assert Run(0, bytes(32), 1, bytes(32)).events == 1
     assert EVERYTHING.entries[0].order == "oldest"

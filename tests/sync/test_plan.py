@@ -148,7 +148,7 @@ def test_the_canonical_form_says_the_same_plan(entries: list[dict[str, object]])
             "give_up[0].older_than: must be a duration such as 7 d, 36 h",
         ),
         ("entries:\n- stream: a/b/c\n  since: beginning\n  from: beginning\n", "line 3"),
-        ("entries:\n- priority: alerts\n", "plan.yaml, line 2: entries[0].stream: Field required"),
+        ("entries:\n- priority: alerts\n", "plan.yaml, line 2: entries[0].stream: must be there: station/source/type"),
         (
             "entries:\n- stream: a/b/c\n  from: 2026-01-01\n",
             "line 3: entries[0].from: must be beginning, now, or a time with its zone such as 2026-11-01T00:00:00Z",

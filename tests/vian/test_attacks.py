@@ -26,6 +26,7 @@ from sync.central.router import Limits, router
 from sync.protocol.enrolment import Enrol, new_secret
 from sync.protocol.signing import RequestSigner
 from sync.protocol.wire import PATH, Hello, Record, encode_records
+from tests.sync.test_losses import Disk
 from tests.vian.samples import GATE, PRODUCER, START, points
 from vian.api import bind, create_app, serving
 from vian.clock import utc_now
@@ -91,10 +92,10 @@ class Client:
         """A request as an honest station signs it."""
         return next(self.signer.auth_flow(self.http.build_request("POST", f"{PATH}/{endpoint}", content=body)))
 
-    def hello_request(self) -> httpx.Request:
+    def hello_request(self, *protocols: int) -> httpx.Request:
         challenge = self.http.post(f"{PATH}/challenge", content=json.dumps({"station": self._name})).json()
         self.signer.answer(challenge["challenge"])
-        said = Hello(protocols=(2,), program="vian/0", station=self._name, epoch=1, time=START)
+        said = Hello(protocols=protocols or (2,), program="vian/0", station=self._name, epoch=1, time=START)
         return self.request("hello", said.encoded())
 
     def hello(self) -> None:
@@ -108,7 +109,7 @@ class Client:
 
 def segment_of(stream: StreamName = GATE, count: int = 3, payload: bytes | None = None) -> Segment:
     """A stream's first segment; with a payload of choice its hashes are right all the same."""
-    draft = encode(stream, points(count), PRODUCER)
+    draft = encode(GATE, points(count), PRODUCER)
     header = Header(stream, 1, 1, count, draft.schema_version, draft.time_min, draft.time_max, PRODUCER)  # type: ignore[arg-type]
     data = draft.payload if payload is None else payload
     payload_hash = hashlib.sha256(data).digest()
@@ -371,6 +372,8 @@ def test_huge_headers_are_refused(central: Served, brno: Client) -> None:
 def test_payloads_that_unpack_to_gigabytes_are_refused_unopened(central: Served, brno: Client) -> None:
     bomb = zstd_frame(declared=8 * 2**30)
     assert told(brno.send(body=one_segment(payload=bomb)), 422) == "false_header"
+    unknown = StreamName.of("brno", "gate", "starship_seen")
+    assert told(brno.send(body=one_segment(unknown, payload=bomb)), 422) == "false_header"
     silent = zstd_frame(declared=None, blocks=4000)  # says nothing of its size, and unpacks to 500 MiB
     assert told(brno.send(body=one_segment(payload=silent)), 422) == "false_header"
     assert central.stored == 0
@@ -424,10 +427,28 @@ def test_a_hello_over_an_old_challenge_of_a_central_that_was_started_again_is_re
     assert told(brno.http.send(old), 401) == "stale_challenge"
 
 
+def test_a_station_from_the_future_is_told_what_is_spoken_here(central: Served, brno: Client) -> None:
+    answer = brno.http.send(brno.hello_request(3, 99))
+    assert told(answer, 400) == "protocol_version"
+    assert answer.json()["wanted"] == "version 2"
+    assert brno.http.send(brno.hello_request(2, 3)).json()["protocol"] == 2
+
+
 def test_while_the_database_is_away_nothing_is_let_in(central: Served, brno: Client) -> None:
     central.log.close()
     assert told(brno.send(), 503) == "log_unavailable"
     assert central.refusals.counts() == {("segments", "log_unavailable"): 1}
+
+
+def test_while_the_disk_is_nearly_full_nothing_is_stored_and_then_it_goes_on(central: Served, brno: Client) -> None:
+    disk = Disk(central.log)
+    disk.free_mib = 10
+    answer = brno.send()
+    assert told(answer, 503) == "disk_nearly_full"
+    assert answer.json()["next"] == "make room on central's disk"
+    assert central.stored == 0
+    disk.free_mib = 1000
+    assert brno.send().status_code == 200
 
 
 def test_requests_of_many_threads_are_each_let_in_once(central: Served, brno: Client) -> None:

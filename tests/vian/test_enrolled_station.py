@@ -1,6 +1,7 @@
 """An enrolled station and central, both at the command line, over TLS: replication, and what a station is told."""
 
 import json
+import ssl
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from datetime import UTC, datetime, timedelta
@@ -21,6 +22,7 @@ from events import station_name
 from store import Log
 from sync.central.refusals import Refusals
 from sync.protocol.enrolment import new_secret
+from sync.protocol.wire import Problem
 from tests.conftest import MakeLog
 from tests.vian.conftest import Ran, Run
 from tests.vian.samples import append, heads, points
@@ -99,6 +101,43 @@ def test_an_enrolled_station_replicates(
     assert heads(station).items() <= heads(central).items()
     assert {json.loads(line)["backlog"] for line in ran.out.splitlines()} == {0}
     assert refusals.counts() == {}
+
+
+def test_central_knows_the_key_that_its_station_signs_with(
+    station: Log, central: Log, settings: Settings, address: str, run: Run
+) -> None:
+    enrol(central, settings, address)
+    assert run("sign", "--dsn", station.dsn, "--station", "brno").code == 0
+    assert sync(run, station).code == 0
+    key_file = CENTRAL_DIR / "station.key"
+    ran = run("verify", "--dsn", central.dsn, "--station", "central", "--key-file", key_file)
+    assert ran.code == 0, ran.err
+    assert "(the one by which the station is enrolled here)" in ran.out
+
+
+def test_what_is_no_request_of_sync_is_refused_in_its_words_and_noted(
+    settings: Settings, refusals: Refusals, address: str
+) -> None:
+    context = ssl.create_default_context(cafile=str(own_certificate(CENTRAL_DIR).certificate))
+    context.check_hostname = False
+    with httpx.Client(base_url=address, verify=context) as client:
+        answers = [
+            client.get("/sync/v2/hello"),
+            client.post("/sync/v2/no-such", headers={"vian-station": "brno"}),
+            client.post("/sync/v9/hello"),
+            client.request("DELETE", f"/sync/{'x' * 2000}"),
+        ]
+    problems = [Problem.model_validate_json(answer.content) for answer in answers]
+    assert [(answer.status_code, problem.code) for answer, problem in zip(answers, problems, strict=True)] == [
+        (405, "wrong_method"),
+        (404, "unknown_request"),
+        (404, "unknown_request"),
+        (405, "wrong_method"),
+    ]
+    assert {problem.next for problem in problems} == {
+        "bring station and central to the same ViAn: pip install --upgrade vian"
+    }
+    assert refusals.counts() == {("unknown", "wrong_method"): 2, ("unknown", "unknown_request"): 2}
 
 
 def test_a_station_that_was_shut_out_is_told_and_nothing_is_stored(
@@ -201,10 +240,15 @@ def test_what_is_not_central_is_told(
     with serving(page, bind("127.0.0.1", 0)) as portal:
         ran = sync(run, station, "--central", portal)
         assert (ran.code, "is not ViAn's central" in ran.words) == (1, True)
+        assert "Next: check the address; curl -i" in ran.words
         ran = sync(run, station, "--central", portal.replace("http", "https"))
         assert (ran.code, "speaks no TLS that is understood here" in ran.words) == (1, True)
     ran = sync(run, station, "--central", "https://nowhere.invalid:8470")
     assert (ran.code, "its name does not resolve" in ran.words) == (1, True)
     ran = sync(run, station, "--central", portal)
     assert (ran.code, "nothing listens there (connection refused)" in ran.words) == (1, True)
+    assert "then give the same command again" in ran.words
+    assert "by itself" not in ran.words
+    ran = sync(run, station, "--central", address.replace("https", "http"))
+    assert (ran.code, f"perhaps it speaks TLS. Next: --central {address};" in ran.words) == (1, True), ran.words
     assert not any(name.startswith("brno/") for name in heads(central))

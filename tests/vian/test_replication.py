@@ -1,18 +1,23 @@
+from contextlib import ExitStack
 from datetime import UTC
 from pathlib import Path
 
 import httpx
 import pytest
+from structlog.testing import capture_logs
 
 from events import SHIPPED, StreamName
 from store import Log, make_key
 from sync.errors import PlanError
+from tests.conftest import MakeLog
 from tests.vian.samples import START, append, points
+from vian.api import bind, create_app, serving
 from vian.clock import utc_now
 from vian.errors import WrongUsage
 from vian.membership import Membership, save_membership
-from vian.replication import PACE, load_plan, pace_of, peer_by_token, peer_of, station_daemon
+from vian.replication import PACE, Telling, load_plan, pace_of, peer_by_token, peer_of, station_daemon
 from vian.settings import Settings, load_settings
+from vian.stations import add_station, read_grants
 
 TOKEN = "a-token-of-brno-that-nobody-guesses"
 
@@ -53,7 +58,7 @@ def test_a_station_with_a_token_speaks_protocol_1_where_it_is_safe(central: str)
     peer = peer_of(load_settings(station="brno", central=central, token_file=token_file()))
     assert peer is not None
     with httpx.Client(base_url=peer.address) as client:
-        assert peer.link(client).protocol == 1
+        assert peer.link(client, "").protocol == 1
 
 
 def test_an_enrolled_station_speaks_protocol_2_whatever_tokens_it_has(tmp_path: Path) -> None:
@@ -66,7 +71,7 @@ def test_an_enrolled_station_speaks_protocol_2_whatever_tokens_it_has(tmp_path: 
     assert peer is not None
     assert (peer.address, peer.public_key) == ("https://central.example:1", bytes.fromhex(public))
     with httpx.Client(base_url=peer.address) as client:
-        assert peer.link(client).protocol == 2
+        assert peer.link(client, "").protocol == 2
     moved = peer_of(settings.model_copy(update={"central": "https://elsewhere:2"}))
     assert moved is not None
     assert moved.address == "https://elsewhere:2"
@@ -74,6 +79,24 @@ def test_an_enrolled_station_speaks_protocol_2_whatever_tokens_it_has(tmp_path: 
     with pytest.raises(WrongUsage, match=r"there is no key in .*Next: vian init"):
         peer_of(settings)
     assert key.id
+
+
+def test_another_daemon_beside_it_is_told_once(log: Log, make_log: MakeLog, tmp_path: Path) -> None:
+    append(log, points(3))
+    add_station(tmp_path / "stations.toml", "brno", token_file())
+    app = create_app(make_log(), read_grants(tmp_path / "stations.toml"))
+    with serving(app, bind("127.0.0.1", 0)) as address, ExitStack() as stack:
+        peer = peer_by_token(address, token_file().read_text().strip())
+        pair = [stack.enter_context(station_daemon(log, "brno", peer, load_plan(None))) for _ in range(2)]  # by mistake
+        telling = Telling(pair[0])
+        with capture_logs() as told:
+            for number in range(4):
+                append(log, points(1), StreamName.of("brno", f"yard-{number}", "track_point"))
+                for daemon in pair:
+                    daemon.catch_up()
+                telling(pair[0].step())
+    assert [each["event"] for each in told] == ["another daemon runs for this station too"]
+    assert told[0]["next"] == "stop all vian sync and vian serve of this station but one"
 
 
 def test_a_station_that_is_neither_enrolled_nor_has_a_token_is_told(tmp_path: Path) -> None:

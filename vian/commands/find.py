@@ -23,7 +23,10 @@ app = typer.Typer(
 AtCentral = Annotated[
     bool, typer.Option("--central", help="Ask central; what this station holds, marked PARTIAL, where it is away.")
 ]
-OfStation = Annotated[str | None, typer.Option("--station", help="Only what this station recorded.")]
+OfStation = Annotated[
+    str | None,
+    typer.Option("--station", help="Only what this station recorded, whichever asks."),
+]
 OfSource = Annotated[str | None, typer.Option("--source", help="Only of this camera or sensor.")]
 Since = Annotated[str | None, typer.Option("--since", "--from", help="At or after this time (ISO 8601, UTC).")]
 Until = Annotated[str | None, typer.Option("--until", "--to", help="Before this time (ISO 8601, UTC).")]

@@ -22,6 +22,7 @@ from store import (
 )
 from store.restoring import note_read_back
 from vian import options
+from vian.clock import utc_now
 from vian.errors import WorldFailed, WrongUsage
 from vian.options import opened, settings_for
 from vian.output import Output
@@ -150,6 +151,7 @@ def verify_log(
         faults = [*found.broken, *(countersigned.broken if countersigned else ())]
         if not faults:
             _note_read_back(log, found, output)
+        enrolled = set() if all(each.is_known for each in found.covered) else _enrolled(log, settings)
     if faults:
         for broken in faults:
             output.result(_broken(broken), f"broken: {broken}")
@@ -159,15 +161,21 @@ def verify_log(
         )
     assert found.verified is not None, "a sound log can be gone on from"
     _note(note, found.verified, output)
-    _tell_sound(found, found.verified, countersigned, output)
+    _tell_sound(found, found.verified, countersigned, enrolled, output)
     if not found.covered:
         output.note("no signature covers it. Next: vian init, then vian sign, or keep vian serve running")
     if gone:
         raise WorldFailed(f"every hash is right, but payloads are gone: {'; '.join(gone[:5])}")
 
 
-def _tell_sound(found: Verification, verified: Verified, countersigned: "Witnessed | None", output: Output) -> None:
-    data, text = _sound(found, verified), _told(found, verified)
+def _tell_sound(
+    found: Verification,
+    verified: Verified,
+    countersigned: "Witnessed | None",
+    enrolled: set[str],
+    output: Output,
+) -> None:
+    data, text = _sound(found, verified, enrolled), _told(found, verified, enrolled)
     if countersigned is not None:
         from vian.witnesses import told
 
@@ -195,6 +203,14 @@ def _gone(log: Log, settings: Settings) -> list[str]:
     return [
         told_at_station(each) if each.stream.station == own else told_at_central(each) for each in gone_in(log, own)
     ]
+
+
+def _enrolled(log: Log, settings: Settings) -> set[str]:
+    """Ids of the keys by which this central server knows its stations."""
+    from sync.central.registry import Registry  # of sync, which a station that verifies need not wait for
+
+    registry = Registry(log, station_name(settings.station), utc_now)
+    return {each.key_id for each in registry.stations()}
 
 
 def _note(note: VerifiedNote, verified: Verified, output: Output) -> None:
@@ -230,7 +246,7 @@ def _broken(broken: ChainBroken) -> dict[str, Any]:
     }
 
 
-def _sound(found: Verification, verified: Verified) -> dict[str, Any]:
+def _sound(found: Verification, verified: Verified, enrolled: set[str]) -> dict[str, Any]:
     return {
         "sound": True,
         "segments": verified.segments,
@@ -252,7 +268,7 @@ def _sound(found: Verification, verified: Verified) -> dict[str, Any]:
             {
                 "station": each.station,
                 "key_id": each.key_id,
-                "is_key_known": each.is_known,
+                "is_key_known": each.is_known or each.key_id in enrolled,
                 "checkpoints": each.checkpoints,
                 "signed_at": each.signed_at,
                 "position": each.position,
@@ -264,14 +280,15 @@ def _sound(found: Verification, verified: Verified) -> dict[str, Any]:
     }
 
 
-def _told(found: Verification, verified: Verified) -> str:
+def _told(found: Verification, verified: Verified, enrolled: set[str]) -> str:
     text = (
         f"sound: {verified.events} events in {verified.segments} segments of {found.streams} streams, up to position "
         f"{found.position}"
     )
     if found.since:
         text += f"; up to position {found.since} it was found sound before and not read again (--full does)"
-    return "\n".join([text, *_hollow(found), *map(_gap, found.gaps), *map(_signed, found.covered)])
+    signed = (_signed(each, is_enrolled=each.key_id in enrolled) for each in found.covered)
+    return "\n".join([text, *_hollow(found), *map(_gap, found.gaps), *signed])
 
 
 def _gap(gap: Gap) -> str:
@@ -291,13 +308,15 @@ def _hollow(found: Verification) -> list[str]:
     return [text]
 
 
-def _signed(covered: Covered) -> str:
+def _signed(covered: Covered, *, is_enrolled: bool) -> str:
     order = (
         f"order and times of recording up to position {covered.position}"
         if covered.position is not None
         else "no order: it is another log's station, or --station NAME is wanted"
     )
-    known = "known here" if covered.is_known else "not known here: compare it with what the station's vian init says"
+    known = "not known here: compare it with what the station's vian init says"
+    if covered.is_known or is_enrolled:
+        known = "known here" if covered.is_known else "the one by which the station is enrolled here"
     return (
         f"signed: station {covered.station}, {covered.events} events of {covered.streams} streams, {order}; "
         f"{covered.checkpoints} checkpoints, the newest of {covered.signed_at:%Y-%m-%dT%H:%M:%SZ}; "

@@ -215,6 +215,8 @@ def _operations(text: str) -> list[str]:
 
 def _reads(text: str) -> list[str]:
     wanted = [each.strip() for each in text.split(",") if each.strip()]
+    if not wanted:
+        raise WrongUsage("--reads takes names of stations by commas, or * for all; got none. Without it: its own")
     return [each if each == EVERY_STATION else station_name(each) for each in dict.fromkeys(wanted)]
 
 

@@ -10,6 +10,7 @@ from events import station_name
 from sync.keeping.gone import gone_in, told_at_station
 from sync.plans.planning import planned_in
 from sync.station.daemon import Daemon
+from sync.station.unreachable import GOES_ON
 from vian import options
 from vian.commands import sync_doctor, sync_plan, sync_repair, sync_status
 from vian.errors import WorldFailed, WrongUsage
@@ -18,6 +19,7 @@ from vian.output import Output
 from vian.parts import Parts
 from vian.pruning import disk_part
 from vian.replication import pace_of, peer_of, plan_at_start, station_daemon, sync_part
+from vian.tls import AGAIN
 
 app = typer.Typer(help="Replicate this station's chosen streams to central, and choose them.")
 app.add_typer(sync_plan.app, name="plan")
@@ -66,7 +68,16 @@ def sync(
     with ExitStack() as stack:
         log = stack.enter_context(opened(settings, data_dir=data_dir, is_made=not once))
         chosen = plan_at_start(log, settings.station, settings.plan)
-        daemon = stack.enter_context(station_daemon(log, settings.station, peer, chosen, pace=pace_of(settings)))
+        daemon = stack.enter_context(
+            station_daemon(
+                log,
+                settings.station,
+                peer,
+                chosen,
+                pace=pace_of(settings),
+                afterwards=AGAIN if once else GOES_ON,
+            )
+        )
         name = station_name(settings.station)
         if once:
             before = gone_in(log, name, name)

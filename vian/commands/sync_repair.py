@@ -1,7 +1,7 @@
 """`vian sync repair`: bring back damaged or pruned segments from central; at central, ask the stations for them."""
 
-from collections.abc import Iterator
-from typing import Annotated
+from collections.abc import Iterator, Sequence
+from typing import Annotated, Any
 
 import typer
 
@@ -11,7 +11,7 @@ from sync.keeping.repair import Repaired
 from vian import options
 from vian.errors import WorldFailed, WrongUsage
 from vian.options import opened, settings_for
-from vian.output import Output
+from vian.output import Output, counted
 from vian.repairing import SEQUENCE_MAX, bring_back, note_lost, repair_damages
 from vian.settings import Settings
 
@@ -46,18 +46,13 @@ def repair(
             return
         attempts = _repaired(log, settings, stream, epoch, first or 1, last or SEQUENCE_MAX)
         # Where the payload alone could not be put back, the whole segment was tried: that is what counts.
-        done = list({each.damage.position: each for each in attempts}.values())
+        done = sorted({each.damage.position: each for each in attempts}.values(), key=_place)
     output.table(
-        "",
-        ("stream", "epoch", "from", "position", "segments", "was", "failure"),
-        [
-            (str(d.stream), d.epoch, d.first_sequence, d.position, each.segments, d.reason, each.failure)
-            for each in done
-            for d in (each.damage,)
-        ],
+        "", ("stream", "epoch", "from", "to", "position", "segments", "was", "failure"), map(_row, _spans(done))
     )
     repaired = sum(each.segments for each in done)
-    output.note(f"{repaired} segments were put back" if done else "nothing is damaged or gone there")
+    put_back = f"{counted(repaired, 'segment')} {'was' if repaired == 1 else 'were'} put back"
+    output.note(put_back if done else "nothing is damaged or gone there")
     if failed := sum(each.failure is not None for each in done):
         raise WorldFailed(f"{failed} were not put back. Next: vian verify --full names what is still damaged")
 
@@ -73,6 +68,43 @@ def _note_lost(
         [(str(each.stream), each.epoch, each.first_sequence, each.last_sequence) for each in noted],
     )
     output.note(f"{len(noted)} ranges are noted as lost" if noted else "nothing is gone here and at its station")
+
+
+def _place(each: Repaired) -> tuple[StreamName, int, int]:
+    return each.damage.stream, each.damage.epoch, each.damage.first_sequence
+
+
+def _spans(done: Sequence[Repaired]) -> Iterator[list[Repaired]]:
+    """What was done, in stretches of a stream that follow one another and came out alike."""
+    span: list[Repaired] = []
+    for each in done:
+        if span and not _follows(span[-1], each):
+            yield span
+            span = []
+        span.append(each)
+    if span:
+        yield span
+
+
+def _follows(before: Repaired, each: Repaired) -> bool:
+    one, two = before.damage, each.damage
+    is_alike = (one.stream, one.epoch, one.reason, before.failure) == (two.stream, two.epoch, two.reason, each.failure)
+    return is_alike and one.last_sequence is not None and two.first_sequence == one.last_sequence + 1
+
+
+def _row(span: Sequence[Repaired]) -> tuple[Any, ...]:
+    first, last = span[0].damage, span[-1].damage
+    segments = sum(each.segments for each in span)
+    return (
+        str(first.stream),
+        first.epoch,
+        first.first_sequence,
+        last.last_sequence,
+        first.position,
+        segments,
+        first.reason,
+        span[0].failure,
+    )
 
 
 def _repaired(

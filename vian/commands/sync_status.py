@@ -163,7 +163,7 @@ def _station_lines(view: StationView) -> Iterator[str]:
         offset = view.clock_offset_s
         clock = "" if offset is None else f"; central's clock {_offset(offset)}"
         yield f"last contact: {span(view.last_contact_age_s or 0.0)} ago ({_time(view.last_contact_at)}){clock}"
-    if view.last_error:
+    if view.last_error and view.failures:  # where streams are stopped, lines of their own say why
         yield f"last error, {view.failures} in a row: {view.last_error}"
     rate = "not measured yet" if view.rate_bps is None else f"{view.rate_bps / 1000:.0f} kbit/s"
     done = "unknown" if view.eta_s is None else span(view.eta_s)

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -126,12 +127,38 @@ def test_a_refusal_of_central_is_told_and_is_no_partial_answer(ask: Run, access:
     enrol(ask, access, address, ["find", "query"], ["brno-2"])
     for arguments, said in (
         (("find", "plate", "*", "--central", "--station", "oslo-1"), "got events of station oslo-1"),
-        (("query", "select pg_sleep(1)", "--central"), "pg_sleep is not for questions"),
+        (("find", "plate", "*", "--central", "--station", "nobody"), "got events of station nobody"),
     ):
         ran = ask(*arguments)
         assert (ran.code, ran.out) == (1, "")
         assert said in ran.words
         assert "PARTIAL" not in ran.err
+
+
+def test_a_question_that_is_not_right_ends_alike_here_and_at_central(ask: Run, access: Access, address: str) -> None:
+    enrol(ask, access, address, ["find", "query"], ["*"])
+    sql = "select plate,\n  plaet from plate_read"
+    for options in (("query", sql, "--central"), ("query", sql)):
+        ran = ask(*options)
+        assert (ran.code, ran.out) == (2, "")
+        line, caret = next(pair for pair in pairwise(ran.err.splitlines()) if "^" in pair[1])
+        assert line[caret.index("^") :].startswith("plaet"), ran.err
+    for options in (("--central",), ()):
+        ran = ask("find", "plate", "1*", "--station", "nobody", *options)
+        assert (ran.code, ran.out) == (2, "")
+        assert "no station 'nobody' in" in ran.words
+        assert "known: brno-2" in ran.words
+
+
+def test_a_table_has_the_same_columns_with_a_link_and_without(ask: Run, access: Access, central_log: Log) -> None:
+    settings = load_settings(data_dir=CENTRAL_DIR, station="central", tls="generate")
+    app = create_app(central_log, access=access, answers=answering_for(central_log, settings, access))
+    asked = [f"select * from {name} where station = 'brno-2' limit 1" for name in ("plate_read", "events", "streams")]
+    with serving(app, bind("127.0.0.1", 0), certificate_of(settings)) as address:
+        enrol(ask, access, address, ["find", "query"], ["*"])
+        linked = [lines(ask("query", sql, "--central", "--json")) for sql in asked]
+    alone = [lines(ask("query", sql, "--central", "--json")) for sql in asked]
+    assert [list(row) for (row,) in linked] == [list(row) for (row,) in alone]
 
 
 @pytest.mark.parametrize(

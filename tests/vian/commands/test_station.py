@@ -127,6 +127,7 @@ def test_central_refuses_its_own_name_and_unknown_operations(on_central: Run) ->
         (["brno", "--operations", "replicate,fly"], "--operations takes replicate, find, query; got fly"),
         (["brno", "--operations", ","], "got none"),
         (["brno", "--reads", "a/b"], "a/b"),
+        (["brno", "--reads", ""], "--reads takes names of stations by commas, or * for all; got none"),
         (["brno", "--hours", "0"], "invite_hours"),
     ):
         ran = on_central("station", "invite", *arguments)

@@ -65,7 +65,7 @@ def test_a_station_brings_back_what_is_damaged_and_what_left_the_disk(
     with station.transaction() as transaction:
         take_off(transaction, [1, 2, 3])
     ran = at_station("sync", "repair", "--stream", str(GATE), "--from", 4, "--to", 5)
-    assert (ran.code, "1 segments were put back" in ran.words) == (0, True)
+    assert (ran.code, "1 segment was put back" in ran.words) == (0, True)
     assert [each.has_payload for each in station.read(GATE, with_hollow=True)] == [False, True, False]
 
 

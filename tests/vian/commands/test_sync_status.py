@@ -19,13 +19,14 @@ from sync.protocol.reports import CHECKPOINT, Status, StreamStatus
 from tests.conftest import MakeLog
 from tests.vian.conftest import Ran, Run
 from tests.vian.samples import GATE, append, objects, points
-from tests.vian.test_enrolled_station import CENTRAL_DIR, STATION_DIR, enrol, serve
+from tests.vian.test_enrolled_station import CENTRAL_DIR, STATION_DIR, enrol, operators_certificate, serve
 from vian.admission import access_for, refusals_for
 from vian.api import bind, serving
 from vian.clock import utc_now
 from vian.membership import load_membership, save_membership
 from vian.settings import Settings, load_settings
 from vian.spans import size_text, span
+from vian.sync_doctor import examine
 from vian.tls import own_certificate
 
 BRNO = station_name("brno")
@@ -247,6 +248,62 @@ def test_doctor_names_a_login_page_and_another_certificate(station: Log, enrolle
     assert verdicts(ran)["certificate"] == "bad"
 
 
+@pytest.mark.parametrize(
+    "days, verdict, said",
+    [
+        ((-10, -1), "bad", "it has expired: for 127.0.0.1, until "),
+        ((-10, 20), "note", "Next: renew it on central of 127.0.0.1"),
+        ((-10, 22), "ok", "for 127.0.0.1, until "),
+    ],
+)
+def test_doctor_names_how_long_an_operators_certificate_lasts(
+    station: Log,
+    enrolled: str,
+    run: Run,
+    monkeypatch: pytest.MonkeyPatch,
+    days: tuple[int, int],
+    verdict: str,
+    said: str,
+) -> None:
+    here = load_settings(data_dir=STATION_DIR, station="brno")
+    membership = load_membership(here)
+    assert membership is not None
+    authority = operators_certificate("127.0.0.1", days)
+    monkeypatch.setenv("SSL_CERT_FILE", str(authority.certificate))
+    with serving(FastAPI(), bind("127.0.0.1", 0), authority) as address:
+        save_membership(here, membership.model_copy(update={"address": address, "certificate": None}))
+        ran = at_station(run, station, "doctor", "--json")
+    assert verdicts(ran)["certificate"] == verdict
+    assert said in ran.out
+
+
+def test_doctor_names_a_proxy_and_keeps_its_password(
+    station: Log, enrolled: str, run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with socket.socket() as closed:
+        closed.bind(("127.0.0.1", 0))
+        monkeypatch.setenv("HTTPS_PROXY", f"http://me:secret@127.0.0.1:{closed.getsockname()[1]}")
+        monkeypatch.delenv("NO_PROXY", raising=False)
+        monkeypatch.delenv("no_proxy", raising=False)
+        ran = at_station(run, station, "doctor", "--json")
+    assert (ran.code, verdicts(ran)["proxy"], verdicts(ran)["central"]) == (1, "note", "bad")
+    assert "NO_PROXY=127.0.0.1 goes past it" in ran.out
+    assert "secret" not in ran.out + ran.err
+    assert "route" not in verdicts(ran)
+
+
+@pytest.mark.parametrize(
+    "ahead_s, verdict", [(0, "ok"), (1.5, "ok"), (30, "note"), (-30, "note"), (3600, "bad"), (-3600, "bad")]
+)
+def test_doctor_names_a_clock_that_is_not_centrals(station: Log, enrolled: str, ahead_s: float, verdict: str) -> None:
+    here = load_settings(dsn=station.dsn, data_dir=STATION_DIR, station="brno")
+    found = list(examine(station, here, lambda: utc_now() + timedelta(seconds=ahead_s)))
+    last = [each for each in found if each.check == "clock"][-1]
+    assert last.verdict == verdict
+    side = "" if verdict == "ok" else "ahead of central's" if ahead_s > 0 else "behind central's"
+    assert side in last.text
+
+
 def test_doctor_names_a_log_that_is_not_the_one_that_central_knows(
     station: Log, make_log: MakeLog, enrolled: str, run: Run
 ) -> None:
@@ -256,6 +313,30 @@ def test_doctor_names_a_log_that_is_not_the_one_that_central_knows(
     ran = at_station(run, other, "doctor", "--json")
     assert verdicts(ran)["epoch"] == "bad"
     assert "this log was replaced or restored" in ran.out
+
+
+def test_a_stream_of_another_history_is_not_said_to_be_at_central(
+    station: Log, make_log: MakeLog, enrolled: str, run: Run
+) -> None:
+    assert run("sync", "--dsn", station.dsn, "--station", "brno", "--once").code == 0
+    other = make_log()
+    append(other, points(5))
+    assert run("sync", "--dsn", other.dsn, "--station", "brno", "--once").code == 1
+    row = streams(at_station(run, other, "status", "--json"))[str(GATE)]
+    assert (row["at_central"], row["events"]) == (None, 5)
+    shown = at_station(run, other, "status").out
+    assert "last contact: never" not in shown
+    assert "in a row" not in shown
+    assert f"stopped: {GATE}: stream {GATE} (epoch 1) is stopped: at sequence 20" in shown
+
+
+def test_the_checkpoint_that_central_countersigned_is_named(station: Log, enrolled: str, run: Run) -> None:
+    for number in (1, 2, 3):
+        append(station, points(3))
+        assert run("sign", "--dsn", station.dsn, "--station", "brno").code == 0, number
+    assert run("sync", "--dsn", station.dsn, "--station", "brno", "--once").code == 0
+    shown = at_station(run, station, "status").out
+    assert "checkpoints: 3 signed here, newest that central countersigned: 3" in shown
 
 
 def test_what_is_not_filtered_yet_is_said(station: Log, run: Run) -> None:
