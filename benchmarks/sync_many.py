@@ -1,7 +1,6 @@
 """A hundred stations against one central, beside one station with as much to send.
 
 Contract: the stations' daemons are tasks of a few processes, each with connections and a right of its own; those of a
-Contract: the stations' daemons are tasks of a few processes, each with connections and a right of its own; those of a
 process share a log. Before the clock starts each has sent a little, so that its connections are open and it has
 learnt how much goes into a request; then all begin at once, with as many segments of as many cameras each. Central is
 `vian serve` with a log of its own.

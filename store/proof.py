@@ -77,7 +77,7 @@ def order_hash(previous: bytes, position: int, recorded_at_us: int, chain_hash: 
 
 def heads_hash(heads: Iterable[StreamHead]) -> bytes:
     """SHA-256 over the heads in the order of station, source, type, epoch, sequence."""
-    parts = [_head_bytes(head) for head in sorted(heads, key=_by_name)]
+    parts = [head_bytes(head) for head in sorted(heads, key=_by_name)]
     return hashlib.sha256(b"".join((HEADS_MAGIC, struct.pack(">I", len(parts)), *parts))).digest()
 
 
@@ -183,7 +183,8 @@ def _head(row: list[Any]) -> StreamHead:
     return StreamHead(StreamName.of(station, source, type_), int(epoch), int(sequence), _bytes32(chain_hash))
 
 
-def _head_bytes(head: StreamHead) -> bytes:
+def head_bytes(head: StreamHead) -> bytes:
+    """A head as it is hashed."""
     return b"".join(
         (
             text_bytes(head.stream.station),

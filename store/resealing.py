@@ -3,8 +3,9 @@
 Contract: all else of the file stays to the byte: positions, times, headers, hashes. The new one is read back from its
 place, every chain in it verified and compared with the old one's, before the index names it; that, and whatever the
 caller records of it, is one transaction. Only then is the old file deleted. A kill between any two steps leaves the
-log whole, and `Sealer.resume` clears away what is left: either a file that is named by nothing yet, or one that is
-named by nothing any more. Whoever reads the old file meanwhile goes on with the new one (`store.coldtier`).
+log whole, and whoever rewrites or seals next clears away what is left: either a file that is named by nothing yet, or
+one that is named by nothing any more. One process at a time is at work on the archive: it holds the lock. Whoever
+reads the old file meanwhile goes on with the new one (`store.coldtier`).
 
 Memory is bounded by one row group; the archive needs room for one file more.
 """
@@ -21,8 +22,10 @@ import pyarrow.compute as pc
 
 from events import StreamName
 from store.errors import UNKNOWN, ArchiveUnavailable, ChainBroken
+from store.locks import ARCHIVE, tried_lock
 from store.log import Log, Transaction
 from store.payloads import Freed, Weight, as_pruner, pruner
+from store.places import Place
 from store.sealed import FileChains, SealedFile, SealedReader, SealedWriter
 from store.sealing import FOLDER
 
@@ -47,6 +50,27 @@ def streams_of(log: Log, file: SealedFile) -> list[SealedStream]:
             (file.first_position,),
         ).fetchall()
     return [SealedStream(StreamName.of(*row[:3]), *row[3:]) for row in rows]
+
+
+def clear_away(log: Log, place: Place) -> str | None:
+    """Delete the file that a sealing or a rewriting left when it was killed; which it was, if any.
+
+    The caller holds the lock on the archive, so nobody is at work on that file.
+
+    Raises:
+        ArchiveUnavailable: The archive cannot be reached.
+        LogUnavailable: The database is away, or the account may not.
+    """
+    pending = log.archive.head().pending_path
+    if pending is None:
+        return None
+    with pruner(log) as connection:
+        # The plan goes first, so that nobody can enter the file into the index any more; somebody may have.
+        connection.execute("select forget_sealing(%s)", (pending,))
+        if any(file.path == pending for file in log.archive.files()):
+            return None
+        place.delete(pending)
+    return pending
 
 
 class Resealer:
@@ -77,9 +101,20 @@ class Resealer:
 
         Raises:
             ChainBroken: The file does not verify: it stays as it is.
-            ArchiveUnavailable: The archive cannot be reached, or holds something else than was written.
+            ArchiveUnavailable: The archive cannot be reached, holds something else than was written, or another is at
+                work on it.
             LogUnavailable: The database is away, or the account may not.
         """
+        with tried_lock(self._log, ARCHIVE) as is_mine:
+            if not is_mine:
+                raise ArchiveUnavailable(
+                    "another command is at work on the archive: nothing was taken off its files. Next: nothing, it is "
+                    "tried again; or wait until vian archive has ended"
+                )
+            clear_away(self._log, self._place)
+            return self._take_off(positions, record)
+
+    def _take_off(self, positions: Set[int], record: Callable[[Transaction, Freed], None]) -> Freed:
         file = self._file
         path = f"{FOLDER}/{file.first_position:012d}-{file.last_position:012d}-{secrets.token_hex(4)}.parquet"
         with pruner(self._log) as connection:

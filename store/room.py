@@ -41,6 +41,14 @@ class Room:
         """Free bytes of the log's disk; None where it cannot be seen."""
         return None if self._folder is None else self._free(self._folder)
 
+    def gains_by(self, folder: Path) -> bool:
+        """Whether what goes from a folder gives room to the log's disk.
+
+        Raises:
+            OSError: The folder cannot be seen.
+        """
+        return self._folder is not None and folder.stat().st_dev == self._folder.stat().st_dev
+
     def is_low(self) -> bool:
         """Whether less is free than must stay."""
         free = self.free() if self.bytes_min else None

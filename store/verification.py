@@ -58,7 +58,7 @@ class Verification:
     hollow: int = 0
     """segments without payload, of those read now: pruned or lost"""
     unrecorded: int = 0
-    """ranges of other stations' segments without payload of which their records have not come yet"""
+    """ranges of other stations' segments without payload of which these recorded no loss, or it has not come yet"""
     verified: Verified | None = field(default=None, compare=False, repr=False)
     """Where the next run can begin; None when the log is not sound."""
     gaps: tuple[Gap, ...] = ()

@@ -6,15 +6,18 @@ Contract: `create_app` builds it from what it is given; it holds no state of its
 import asyncio.sslproto
 import socket
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
+from itertools import groupby
 from typing import Any
 
+import structlog
 import uvicorn
 from fastapi import FastAPI, Request, Response
 from fastapi.responses import JSONResponse, PlainTextResponse
 from prometheus_client.exposition import CONTENT_TYPE_PLAIN_0_0_4
 
+from events import Segment
 from store import Log, LogUnavailable
 from sync.central.access import Access
 from sync.central.problems import Note
@@ -24,6 +27,8 @@ from vian.errors import WorldFailed
 from vian.metrics import Metrics
 from vian.tls import Certificate
 from vian.version import VERSION
+
+logger = structlog.get_logger()
 
 _START_SECONDS_MAX = 15.0
 KEEP_ALIVE_S = 10
@@ -75,8 +80,32 @@ def create_app(
     if metrics is not None:
         _add_metrics(app, metrics)
     if grants is not None or access is not None:
-        app.include_router(router(log, grants, access=access, answers=answers, note=note, while_storing=while_storing))
+        app.include_router(
+            router(
+                log,
+                grants,
+                access=access,
+                answers=answers,
+                note=note,
+                while_storing=while_storing,
+                on_hollow=_tell_hollow,
+            )
+        )
     return app
+
+
+def _tell_hollow(segments: Sequence[Segment]) -> None:
+    """Say in the program's log what came without payload: lost at its station, or gone at both sides."""
+    for place, group in groupby(segments, lambda each: (str(each.stream), int(each.header.epoch))):
+        headers = [each.header for each in group]
+        logger.warning(
+            "segments came without payload",
+            stream=place[0],
+            epoch=place[1],
+            first_sequence=int(headers[0].first_sequence),
+            last_sequence=int(headers[-1].last_sequence),
+            next="vian sync status",
+        )
 
 
 def _add_metrics(app: FastAPI, metrics: Metrics) -> None:

@@ -6,7 +6,7 @@ every 15 minutes or when something changed; what central holds is counted.
 
 from collections import Counter
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 
 from events import RequestRefused, Run, Station, StationEnrolled, StreamName, decode, events_of
@@ -14,6 +14,7 @@ from store import Log
 from store.health import newest_recorded
 from sync.central.contacts import StationContact, contacts_of
 from sync.central.registry import Registered, Registry
+from sync.keeping.gone import Gone, gone_in
 from sync.runs import StreamKey
 
 REFUSALS_OVER = timedelta(days=1)
@@ -56,6 +57,8 @@ class StationRow:
     streams: tuple[HeldStream, ...]
     refusals: Mapping[str, int]
     """requests that were refused over the last day, by code"""
+    gone: tuple[Gone, ...] = ()
+    """ranges whose payload is gone here and at the station"""
 
     @property
     def behind(self) -> int:
@@ -101,14 +104,17 @@ def central_view(log: Log, registry: Registry, now: datetime) -> CentralView:
     names = sorted(registered.keys() | contacts.keys())
     held = _held(log, names)
     recorded = newest_recorded(log, names)
+    own = _own_name(log, registry)
+    gone = gone_in(log, own)
     rows = []
     for name in names:
         contact = contacts.get(name)
         streams = tuple(_streams(held.get(name, {}), contact, recorded, now))
-        rows.append(_row(name, registered.get(name), contact, streams, refused.get(name, Counter()), now))
+        row = _row(name, registered.get(name), contact, streams, refused.get(name, Counter()), now)
+        rows.append(replace(row, gone=tuple(each for each in gone if each.stream.station == name)))
     if UNKNOWN in refused:
         rows.append(_row(UNKNOWN, None, None, (), refused[UNKNOWN], now))
-    return CentralView(_own_name(log, registry), log.head(), len(registry.invitations()), tuple(rows))
+    return CentralView(own, log.head(), len(registry.invitations()), tuple(rows))
 
 
 def _own_name(log: Log, registry: Registry) -> Station:

@@ -5,13 +5,13 @@ people the harder errors behind it; what the log holds is safe without it, becau
 the sequence that it expects.
 """
 
-import hashlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 
 import psycopg
 
 from store import Log, LogUnavailable
+from store.locks import lock_key
 from vian.errors import WorldFailed
 
 _PATIENCE_SECONDS = 3.0
@@ -35,7 +35,7 @@ def exclusively(log: Log, what: str, *, patience_s: float = _PATIENCE_SECONDS) -
     try:
         try:
             connection.execute("select set_config('lock_timeout', %s, false)", (f"{patience_s * 1000:.0f}ms",))
-            connection.execute("select pg_advisory_lock(%s)", (_key(what),))
+            connection.execute("select pg_advisory_lock(%s)", (lock_key(what),))
         except psycopg.errors.LockNotAvailable as error:
             raise WorldFailed(
                 f"another command is at work on {what}. Next: wait until it has ended, then run this again"
@@ -51,7 +51,3 @@ def _connected(log: Log) -> psycopg.Connection[tuple[object, ...]]:
         return psycopg.connect(log.dsn, autocommit=True)
     except psycopg.OperationalError as error:
         raise LogUnavailable(f"the database is away: {error}") from error
-
-
-def _key(what: str) -> int:
-    return int.from_bytes(hashlib.sha256(f"vian {what}".encode()).digest()[:8], "big", signed=True)

@@ -9,7 +9,7 @@ import structlog
 from events import CheckpointCountersigned, EventError, station_name
 from store import Log, LogUnavailable, StoreError
 from sync.errors import PlanError
-from sync.keeping.countersigning import is_countersigned
+from sync.keeping.countersigned import is_countersigned
 from sync.keeping.losses import DiskWatch
 from sync.keeping.pruning import IsSigned, Proof, Pruner
 from sync.plans.plan import GiveUp

@@ -8,6 +8,7 @@ import httpx
 from events import StreamName, station_name
 from store import Log, verify
 from store.keys import load_key
+from sync.keeping.gone import Gone, accept, gone_in
 from sync.keeping.repair import Damage, Repaired, Repairer, Wanted, damaged_headers, damaged_payloads, hollow_payloads
 from sync.station.client import Central, Greeting
 from vian.clock import utc_now
@@ -61,7 +62,7 @@ def repair_damages(log: Log, settings: Settings) -> Iterator[Repaired]:
 def bring_back(
     log: Log, settings: Settings, stream: StreamName, epoch: int | None, first: int, last: int
 ) -> Iterator[Repaired]:
-    """Bring back from central the payloads of a stream that left the disk.
+    """Bring back from central the payloads of a stream that left the disk; of another station's stream, ask that.
 
     Raises:
         WorldFailed: The station is not enrolled.
@@ -70,10 +71,41 @@ def bring_back(
     gone = list(hollow_payloads(log, stream, first, last, epoch))
     if not gone:
         return
+    if stream.station != station_name(settings.station):
+        Wanted(log).ask(gone)
+        yield from (Repaired(each, 0, f"station {stream.station} is asked for it at its next hello") for each in gone)
+        return
     with central_link(log, settings) as link:
         repairer = Repairer(log, station_name(settings.station), link.read, "central", utc_now)
         for damage in gone:
             yield repairer.repair(damage)
+
+
+def note_lost(
+    log: Log, settings: Settings, stream: StreamName | None, epoch: int | None, first: int, last: int
+) -> list[Gone]:
+    """Note in central's own log that what is gone here and at its station is in no backup; which it is.
+
+    Args:
+        log: Central's log.
+        settings: Whose log it is.
+        stream: Only of this stream.
+        epoch: Only of this life of it.
+        first: Only what lies from this sequence on.
+        last: Only what lies up to this sequence.
+
+    Raises:
+        LogUnavailable: The database is away.
+    """
+    own = station_name(settings.station)
+    found = [
+        Gone(each.stream, each.epoch, max(first, each.first_sequence), min(last, each.last_sequence))
+        for each in gone_in(log, own)
+        if stream in (None, each.stream) and epoch in (None, each.epoch) and each.stream.station != own
+        if each.first_sequence <= last and each.last_sequence >= first
+    ]
+    accept(log, own, found, utc_now())
+    return found
 
 
 def _first_each(damages: Iterator[Damage]) -> Sequence[Damage]:

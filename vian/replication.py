@@ -212,6 +212,8 @@ class Telling:
 
     def __call__(self, step: Step) -> None:
         """Take in what a step was."""
+        for each in step.gone:
+            logger.error("payload gone here and at central", range=each, next="vian sync status")
         if step.error is not None and self._error != str(step.error):
             self._error = str(step.error)
             logger.warning("sync waits", error=self._error)

@@ -13,6 +13,7 @@ from events import CheckpointSigned, Station, StreamName
 from store import Log, StreamHead, health
 from store.sizes import Part, Size, sizes
 from sync.keeping.countersigning import newest_countersigned
+from sync.keeping.gone import gone_in, told_at_station
 from sync.plans.deriving import CHECKPOINT as DERIVED
 from sync.plans.entries import base_of, derived_name
 from sync.plans.plan import Plan
@@ -139,7 +140,11 @@ def station_view(log: Log, station: Station, now: datetime, default: Plan) -> St
         countersigned=newest_countersigned(log, station),
         signed=_newest_sequence(own, CheckpointSigned.type_name) or 0,
         days_left=days_left(log),
-        notes=(*(status.notes if status else ()), *_unmade(log, own, plan)),
+        notes=(
+            *map(told_at_station, gone_in(log, station, station)),
+            *(status.notes if status else ()),
+            *_unmade(log, own, plan),
+        ),
         streams=tuple(_streams(log, own, plan, status, now)),
     )
 
@@ -190,7 +195,9 @@ def _unmade(log: Log, heads: Sequence[StreamHead], plan: Plan) -> list[str]:
     if not count:
         return []
     noun = counted(count, "stream")
-    return [f"of {noun} the plan sends what a filter leaves, which is made once central answers and counts then"]
+    return [
+        f"of {noun} the plan sends what a filter leaves, which vian sync makes, also without central, and counts then"
+    ]
 
 
 def _waiting(head: StreamHead, said: StreamStatus | None, since: datetime | None) -> list[Part]:

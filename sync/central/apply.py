@@ -117,7 +117,10 @@ def checked_2(log: Log, caller: Speaker, body: bytes, *, body_bytes_max: int, se
 
 
 def store_2(
-    log: Log, records: Sequence[Record], still_allowed: Callable[[Transaction], None] = lambda _: None
+    log: Log,
+    records: Sequence[Record],
+    still_allowed: Callable[[Transaction], None] = lambda _: None,
+    on_hollow: Callable[[Sequence[Segment]], None] = lambda _: None,
 ) -> SegmentsAnswer:
     """Store records that were checked, and say what is held of their streams then.
 
@@ -125,6 +128,7 @@ def store_2(
         log: Central's log.
         records: As `checked_2` gives them.
         still_allowed: Called in the transaction that stores them; raises if the caller may no longer write.
+        on_hollow: Told of the segments that were stored without payload, if any.
 
     Raises:
         Refusal: One does not go on from what is held, or the caller may not write; nothing was stored.
@@ -134,6 +138,9 @@ def store_2(
     _check_room(log, records[0].segment.stream.station, records)
     appended = store_records(log, records, still_allowed)
     duplicates = sum(one.was_there for one in appended)
+    new = [record.segment for record, one in zip(records, appended, strict=True) if not one.was_there]
+    if hollow := [segment for segment in new if not segment.has_payload]:
+        on_hollow(hollow)
     held = runs_of(log, _keys(records))
     return SegmentsAnswer(
         cursors=tuple(Cursor.of(key, runs) for key, runs in held.items()),

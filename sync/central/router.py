@@ -8,7 +8,7 @@ Version 2 is for enrolled stations, which sign each request (`sync.central.acces
 the release before, which have a token of the stations file (`sync.protocol.grants`).
 """
 
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -17,7 +17,7 @@ from typing import Annotated, Any, Protocol
 
 from fastapi import APIRouter, Depends, Header, Request, Response
 
-from events import Station
+from events import Segment, Station
 from store import Log
 from sync.central.access import REPLICATE, Access, Asked, Caller
 from sync.central.apply import answer_hello_2, checked_2, read_hello, store_2
@@ -62,6 +62,9 @@ from sync.text import one_line
 
 Storing = Callable[[], AbstractContextManager[None]]
 """Makes what is entered while segments are stored."""
+
+OnHollow = Callable[[Sequence[Segment]], None]
+"""Told of segments that were stored without payload."""
 
 __all__ = ["Call", "Door", "Grants", "Limits", "router"]
 
@@ -125,6 +128,7 @@ def router(
     answers: Answers | None = None,
     note: Note = lambda kind, got: None,
     while_storing: Storing = nullcontext,
+    on_hollow: OnHollow = lambda segments: None,
 ) -> APIRouter:
     """The endpoints of sync over a log: `/sync/v1/...` with grants, `/sync/v2/...` with access.
 
@@ -137,6 +141,7 @@ def router(
         answers: Answers the questions of stations, in version 2.
         note: Told of each refusal, such as `Refusals.note`.
         while_storing: Entered while segments of a request are checked and stored.
+        on_hollow: Told of segments that were stored without payload.
     """
     most = limits or Limits()
     api = APIRouter()
@@ -145,7 +150,7 @@ def router(
         api.include_router(_version_1(log, grants, most, now, note, while_storing, contacts))
     if access is not None:
         door = Door(access, most)
-        api.include_router(_version_2(log, door, most, now, note, answers, while_storing, contacts))
+        api.include_router(_version_2(log, door, most, now, note, answers, while_storing, contacts, on_hollow))
         api.include_router(_repairs(log, door, most, now, note))
     api.include_router(_rest(note))
     return api
@@ -244,6 +249,7 @@ def _version_2(
     answers: Answers | None,
     while_storing: Storing,
     contacts: Contacts,
+    on_hollow: OnHollow,
 ) -> APIRouter:
     api = APIRouter(prefix=PATH, tags=["sync"], route_class=problem_route(note, cursors_2), responses=RESPONSES)
     attempts = Attempts(monotonic)
@@ -307,7 +313,7 @@ def _version_2(
             return checked_2(log, caller, call.body, body_bytes_max=most.body_bytes_max, segments_max=most.segments_max)
 
         def stored() -> SegmentsAnswer2:
-            answer = store_2(log, records, lambda transaction: door.access.check_again(transaction, caller))
+            answer = store_2(log, records, lambda transaction: door.access.check_again(transaction, caller), on_hollow)
             contacts.heard(caller.station, now())
             return answer
 

@@ -1,13 +1,11 @@
 """Countersigning: central signs that it holds what a station's checkpoint says.
 
-Contract: `countersign` is central's side. It signs only the heads of the checkpoint that it holds from the stream's
-first event on, with that very chain hash. `Countersigning` is the station's side: it asks for its newest checkpoint
-once central holds that, believes nothing but central's signature, and appends it to the station's own log.
-What is signed is laid out in docs/reference/sync.md.
+Contract: `countersign` is central's side. It signs only the heads of the checkpoint that it holds with that very chain
+hash, and from where on it holds their streams. `Countersigning` is the station's side: it asks for its newest
+checkpoint once central holds that, believes nothing but central's signature, and appends it to the station's own log.
+What is signed is laid out in `sync.keeping.countersigned`.
 """
 
-import json
-import struct
 from collections.abc import Callable, Iterable, Mapping
 from datetime import datetime
 from hashlib import sha256
@@ -24,25 +22,15 @@ from events import (
     encode,
     events_of,
 )
-from events.segment import microseconds, text_bytes
 from store import BadProof, Log, SignedCheckpoint, StationKey, StreamHead
 from store.keys import is_signed
-from store.proof import (
-    ALGORITHM,
-    checkpoint_of,
-    checkpoint_stream,
-    head_rows,
-    heads_hash,
-    key_id,
-    statement_bytes,
-    statement_hash,
-)
+from store.proof import ALGORITHM, checkpoint_of, checkpoint_stream, key_id, statement_bytes, statement_hash
 from sync.errors import BadAnswer, Refusal, WireError
+from sync.keeping.countersigned import Held, countersigned_bytes, held_in, held_text, is_countersigned
 from sync.keeping.held import held_of
 from sync.protocol.wire import Countersigned, CountersignRequest, parse
 from sync.runs import Point, Runs, StreamKey, are_held
 
-MAGIC = b"VIANCSG1"
 SOURCE = "sync"
 PRODUCER = Producer("sync", "2", sha256(b"{}").digest())
 ASK_EVERY_S = 600.0
@@ -51,65 +39,6 @@ VOID = "countersigned"
 """Name of the checkpoint that says up to which position of the station's log countersignatures prove nothing."""
 _LOOK_EVERY_S = 1.0
 _OWN_TYPES = (CheckpointSigned.type_name, CheckpointCountersigned.type_name)
-
-
-def countersigned_bytes(
-    station: str, sequence: int, statement: bytes, held: list[StreamHead], time: datetime, public_key: bytes
-) -> bytes:
-    """What central signs.
-
-    Args:
-        station: Whose checkpoint it is.
-        sequence: Of the event checkpoint_signed.
-        statement: Hash of the station's statement.
-        held: The heads that central holds.
-        time: When it signs.
-        public_key: Central's raw public key.
-    """
-    return b"".join(
-        (
-            MAGIC,
-            text_bytes(station),
-            struct.pack(">Q", sequence),
-            statement,
-            heads_hash(held),
-            struct.pack(">q", microseconds(time)),
-            public_key,
-        )
-    )
-
-
-def is_countersigned(event: CheckpointCountersigned, public_key: bytes) -> bool:
-    """Whether the event's signature is that of central's key, over all that the event says."""
-    try:
-        held = heads_in(event.held)
-        said = countersigned_bytes(
-            event.of_station,
-            event.checkpoint_sequence,
-            bytes.fromhex(event.statement_hash),
-            held,
-            event.time,
-            public_key,
-        )
-    except (ValueError, struct.error):
-        return False
-    is_named = event.key_id == key_id(public_key) and event.algorithm == ALGORITHM
-    return is_named and is_signed(public_key, event.signature, said)
-
-
-def heads_in(text: str) -> list[StreamHead]:
-    """The heads that the JSON text says.
-
-    Raises:
-        ValueError: It says none.
-    """
-    try:
-        return [
-            StreamHead(StreamName.of(station, source, type_), int(epoch), int(sequence), bytes.fromhex(chain_hash))
-            for station, epoch, source, type_, sequence, chain_hash in json.loads(text)
-        ]
-    except (TypeError, EventError) as error:
-        raise ValueError(f"no heads: {error}") from error
 
 
 def countersign(log: Log, station: Station, body: bytes, key: StationKey, now: datetime) -> Countersigned:
@@ -129,7 +58,8 @@ def countersign(log: Log, station: Station, body: bytes, key: StationKey, now: d
     checkpoint = _checkpoint(log, stream, asked)
     statement = checkpoint.statement
     runs = held_of(log, station)
-    held = [head for head in statement.heads if _holds(log, head, runs.get(StreamKey(head.stream, head.epoch), ()))]
+    found = [_held(log, head, runs.get(StreamKey(head.stream, head.epoch), ())) for head in statement.heads]
+    held = [each for each in found if each is not None and (asked.reads_bases or not each.after)]
     if not held:
         raise _not_held(statement.heads[0].stream if statement.heads else stream, asked)
     digest = statement_hash(statement)
@@ -138,7 +68,7 @@ def countersign(log: Log, station: Station, body: bytes, key: StationKey, now: d
         of_station=station,
         checkpoint_sequence=asked.checkpoint_sequence,
         statement_hash=digest.hex(),
-        held=json.dumps(head_rows(held), separators=(",", ":")),
+        held=held_text(held),
         key_id=key.id,
         algorithm=ALGORITHM,
         signature=key.sign(said).hex(),
@@ -167,12 +97,13 @@ def _checkpoint(log: Log, stream: StreamName, asked: CountersignRequest) -> Sign
     return checkpoint
 
 
-def _holds(log: Log, head: StreamHead, runs: Runs) -> bool:
-    """Whether the log holds the stream from its first event up to the head, with that chain hash there."""
-    run = next((run for run in runs if not run.after), None)
-    if run is None or run.sequence < head.sequence or not head.sequence:
-        return False
-    return head.chain_hash == (run.chain_hash if run.sequence == head.sequence else _hash_at(log, head))
+def _held(log: Log, head: StreamHead, runs: Runs) -> Held | None:
+    """From where on the log holds the stream up to the head, with that chain hash there; None where it does not."""
+    run = next((run for run in runs if run.after < head.sequence <= run.sequence), None)
+    if run is None:
+        return None
+    is_there = head.chain_hash == (run.chain_hash if run.sequence == head.sequence else _hash_at(log, head))
+    return Held(head, run.after, run.after_hash) if is_there else None
 
 
 def _hash_at(log: Log, head: StreamHead) -> bytes | None:
@@ -239,7 +170,7 @@ class Countersigning:
         self._newest: SignedCheckpoint | None = None
         self._looked_at: float | None = None
         self._asked_at: float | None = None
-        self._agreed: set[StreamHead] | None = None
+        self._agreed: set[Held] | None = None
         self.sequence: int | None = None
         """Of the newest checkpoint that central countersigned."""
 
@@ -255,7 +186,7 @@ class Countersigning:
         """
         key = StreamKey(self._checkpoints, self._log.epoch)
         head = heads.get(key)
-        if self._key is None or head is None or not _ends(held.get(key, ()), head):
+        if self._key is None or head is None or _among(held.get(key, ()), head) is None:
             return None
         if head.sequence > self._seen:
             self._look(head)
@@ -266,7 +197,7 @@ class Countersigning:
         if not self._is_worth_it(self._newest, held, at):
             return None
         self._asked_at = at
-        return CountersignRequest(epoch=key.epoch, checkpoint_sequence=self._newest.sequence)
+        return CountersignRequest(epoch=key.epoch, checkpoint_sequence=self._newest.sequence, reads_bases=True)
 
     def take(self, answer: Countersigned) -> None:
         """Append central's signature to the station's log.
@@ -305,7 +236,7 @@ class Countersigning:
         # Pruning is what makes room, and it waits for this.
         self._log.append([encode(self._stream, batch_of([event]), PRODUCER)], from_reserve=True)
         self.sequence = checkpoint.sequence
-        self._agreed |= _told(heads_in(event.held))
+        self._agreed |= _told(held_in(event.held))
 
     def heed(self, held: Mapping[StreamKey, Runs]) -> None:
         """Let no countersignature count that says more than central says that it holds: it lost that.
@@ -316,7 +247,7 @@ class Countersigning:
             LogUnavailable: The database is away.
         """
         signed = self._last_signed() if self._key is not None else None
-        if signed is None or all(_ends(held.get(StreamKey(each.stream, each.epoch), ()), each) for each in signed):
+        if signed is None or all(_is_still_held(each, held) for each in signed):
             return
         position = self._log.head()
         with self._log.transaction() as transaction:
@@ -350,21 +281,27 @@ class Countersigning:
     def _is_worth_it(self, checkpoint: SignedCheckpoint, held: Mapping[StreamKey, Runs], at: float) -> bool:
         """Whether central holds something of the checkpoint that it has not countersigned yet."""
         assert self._agreed is not None, "it was read with the checkpoint"
-        told = _told(head for head in checkpoint.statement.heads if head.stream.station == self._stream.station)
-        there = {head for head in told if _ends(held.get(StreamKey(head.stream, head.epoch), ()), head)}
+        heads = [head for head in checkpoint.statement.heads if head.stream.station == self._stream.station]
+        wanted = {head for head in heads if head.stream.type not in _OWN_TYPES}
+        there = {
+            each
+            for head in wanted
+            if (each := _among(held.get(StreamKey(head.stream, head.epoch), ()), head)) is not None
+        }
         if there <= self._agreed:
             return False
-        return there == told or self._asked_at is None or at - self._asked_at >= ASK_EVERY_S
+        is_all = len(there) == len(wanted)
+        return is_all or self._asked_at is None or at - self._asked_at >= ASK_EVERY_S
 
-    def _agreed_before(self) -> set[StreamHead]:
+    def _agreed_before(self) -> set[Held]:
         """What the log says was countersigned last."""
         return _told(self._last_signed() or ())
 
-    def _last_signed(self) -> list[StreamHead] | None:
-        """The heads of the newest countersignature that counts; None where there is none."""
+    def _last_signed(self) -> list[Held] | None:
+        """What the newest countersignature that counts says is held; None where there is none."""
         event = _newest(self._log, self._stream)
         try:
-            heads = None if event is None else heads_in(event.held)
+            heads = None if event is None else held_in(event.held)
         except ValueError:
             return None  # of a newer release: asked anew
         self.sequence = None if event is None else event.checkpoint_sequence
@@ -397,10 +334,20 @@ def _newest(log: Log, stream: StreamName) -> CheckpointCountersigned | None:
     return event
 
 
-def _ends(runs: Runs, head: StreamHead) -> bool:
-    return are_held(runs, 0, Point(head.sequence, head.chain_hash))
+def _among(runs: Runs, head: StreamHead) -> Held | None:
+    """What of the runs holds the stream up to the head; None where none does."""
+    run = next((run for run in runs if run.after < head.sequence <= run.sequence), None)
+    if run is None or not are_held([run], run.after, Point(head.sequence, head.chain_hash)):
+        return None
+    return Held(head, run.after, run.after_hash)
 
 
-def _told(heads: Iterable[StreamHead]) -> set[StreamHead]:
-    """The heads that say something: those of the streams in which signatures are kept grow by signing alone."""
-    return {head for head in heads if head.stream.type not in _OWN_TYPES}
+def _is_still_held(signed: Held, held: Mapping[StreamKey, Runs]) -> bool:
+    head = signed.head
+    runs = held.get(StreamKey(head.stream, head.epoch), ())
+    return are_held(runs, signed.after, Point(head.sequence, head.chain_hash))
+
+
+def _told(held: Iterable[Held]) -> set[Held]:
+    """What says something: the streams in which signatures are kept grow by signing alone."""
+    return {each for each in held if each.head.stream.type not in _OWN_TYPES}

@@ -1,15 +1,15 @@
 """Pruning: payloads that central holds, as its signature proves, leave the station's disk when they are old.
 
 Contract: only what lies below the newest checkpoint that central countersigned, and only where that says of the
-stream the very chain hash that this log has there. What goes is recorded as `segments_pruned` in the transaction that
-takes it off. Streams that prove the log, or that programs read back, stay (`store.payloads.may_leave`). A step does
-one bounded thing; killed between any two, nothing is doubled and nothing goes unrecorded.
+stream the very chain hash that this log has there. What a derived stream still waits for stays. What goes is recorded
+as `segments_pruned` in the transaction that takes it off; a sealed file is written anew without it
+(`store.resealing`). Streams that prove the log, or that programs read back, stay (`store.payloads.may_leave`). A step
+does one bounded thing; killed between any two, nothing is doubled and nothing goes unrecorded.
 """
 
-import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from datetime import datetime, timedelta
+from datetime import UTC, datetime, timedelta
 from hashlib import sha256
 
 from events import (
@@ -30,10 +30,13 @@ from store.payloads import Freed, Weight, may_leave, reclaim, take_off, weights
 from store.resealing import Resealer, streams_of
 from store.room import CREDIT, credit_state
 from store.sealed import SealedFile
+from sync.keeping.countersigned import Held, held_in
 from sync.keeping.countersigning import VOID
+from sync.plans.awaiting import Awaited, awaited
 
 SOURCE = "sync"
 PRODUCER = Producer("pruner", "1", sha256(b"{}").digest())
+ANY_TIME = datetime.max.replace(tzinfo=UTC)
 SEGMENTS_MAX = 500
 """Most segments that one step takes off."""
 BYTES_MAX = 16 * 1024 * 1024
@@ -50,18 +53,19 @@ IsSigned = Callable[[CheckpointCountersigned], bool]
 
 
 @dataclass(frozen=True, slots=True)
-class Held:
-    """Up to where central holds the station's streams, as it signed."""
+class Proven:
+    """From where to where central holds the station's streams, as it signed."""
 
     statement_hash: str
-    sequences: Mapping[Place, int]
+    ranges: Mapping[Place, Held]
 
     def holds(self, weight: Weight) -> bool:
         """Whether central holds the segment."""
-        return weight.last_sequence <= self.sequences.get((weight.stream, weight.epoch), 0)
+        held = self.ranges.get((weight.stream, weight.epoch))
+        return held is not None and held.holds(weight.first_sequence, weight.last_sequence)
 
 
-NOTHING_HELD = Held("", {})
+NOTHING_PROVEN = Proven("", {})
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,7 +125,7 @@ class Proof:
         self._stream = StreamName.of(station, SOURCE, CheckpointCountersigned.type_name)
         self._is_signed = is_signed
         self._seen: tuple[StreamHead, int] | None = None
-        self.held = NOTHING_HELD
+        self.held = NOTHING_PROVEN
 
     def look(self) -> bool:
         """Look for a newer checkpoint; whether there is one.
@@ -136,24 +140,24 @@ class Proof:
         seen = newest, self._log.checkpoint(VOID).position
         if seen == self._seen:
             return False
-        self.held = NOTHING_HELD
+        self.held = NOTHING_PROVEN
         (segment,) = self._log.read(newest.stream, newest.sequence, epoch=newest.epoch)
         event = events_of(decode(segment, self._log.catalogue))[-1]
         is_ours = isinstance(event, CheckpointCountersigned) and event.of_station == self._stream.station
         counts = segment.position > seen[1]  # else central lost, since it signed, what it held then
         if isinstance(event, CheckpointCountersigned) and is_ours and counts and self._is_signed(event):
-            self.held = Held(event.statement_hash, dict(_agreed(self._log, event)))
+            self.held = Proven(event.statement_hash, dict(_agreed(self._log, event)))
         self._seen = seen
         return True
 
 
-def _agreed(log: Log, event: CheckpointCountersigned) -> Iterator[tuple[Place, int]]:
-    """The signed heads at which this log has the same chain hash."""
-    for station, epoch, source, type_name, sequence, chain_hash in json.loads(event.held):
-        stream = StreamName.of(station, source, type_name)
-        segment = next(log.read(stream, sequence, epoch=epoch, with_hollow=True), None)
-        if segment and (segment.header.last_sequence, segment.chain_hash.hex()) == (sequence, chain_hash):
-            yield (stream, epoch), sequence
+def _agreed(log: Log, event: CheckpointCountersigned) -> Iterator[tuple[Place, Held]]:
+    """What is signed of streams whose chain hash this log has, too, at the head."""
+    for held in held_in(event.held):
+        head = held.head
+        segment = next(log.read(head.stream, head.sequence, epoch=head.epoch, with_hollow=True), None)
+        if segment and (segment.header.last_sequence, segment.chain_hash) == (head.sequence, head.chain_hash):
+            yield (head.stream, head.epoch), held
 
 
 class Pruner:
@@ -172,17 +176,20 @@ class Pruner:
         self._station = station
         self._after = after
         self._proof = Proof(log, station, is_signed)
+        self._awaited: Awaited = {}
         self._position = 0
         self._to_reclaim = 0
         self._files: list[SealedFile] = []
         """sealed files that are still to be looked at below the newest checkpoint"""
-        self._files_seen: dict[int, frozenset[Place]] = {}
-        """which streams of each sealed file could go when it was looked at, by its first position"""
+        self._files_seen: dict[int, frozenset[tuple[Place, int]]] = {}
+        """which streams of each sealed file could go, and behind which sequence, by the file's first position"""
 
     def step(self, now: datetime) -> bool:
         """Take off a bounded lot of what may go; whether there may be more.
 
         Raises:
+            StoreError: A sealed file cannot be written anew; the others are.
+            PlanError: The log's plan does not read here.
             LogUnavailable: The database is away, or the account may not.
         """
         lot = self._next(now)
@@ -208,10 +215,11 @@ class Pruner:
 
     def _next(self, now: datetime) -> list[Weight] | None:
         """The next lot, which may be empty; None where nothing is left for now."""
+        self._awaited = awaited(self._log, self._station)
         if self._proof.look():
             self._position = 0
             self._files = list(self._old_files(now))
-        page = weights(self._log, self._position, now - self._after, SEGMENTS_MAX) if self._proof.held.sequences else []
+        page = weights(self._log, self._position, now - self._after, SEGMENTS_MAX) if self._proof.held.ranges else []
         if not page:
             return None
         chosen = self._chosen(page)
@@ -224,6 +232,14 @@ class Pruner:
         if not self._files:
             return False
         file = self._files.pop(0)
+        try:
+            self._prune_file(file, now)
+        except BaseException:
+            self._files.append(file)  # it is tried again, behind the others
+            raise
+        return True
+
+    def _prune_file(self, file: SealedFile, now: datetime) -> None:
         resealer = Resealer(self._log, file)
         held_here = resealer.weights()
         chosen = self._chosen(held_here)
@@ -234,25 +250,36 @@ class Pruner:
                 transaction.append([record_of(self._station, events)], from_reserve=True)
 
             resealer.take_off({each.position for each in chosen}, record)
-        return True
 
     def _old_files(self, now: datetime) -> Iterator[SealedFile]:
         """The sealed files that are old enough and of which more may go than when they were looked at last."""
-        for file in self._log.archive.files() if self._proof.held.sequences else ():
+        for file in self._log.archive.files() if self._proof.held.ranges else ():
             if file.sealed_at >= now - self._after:
                 return
             may_go = frozenset(
-                (each.stream, each.epoch)
+                ((each.stream, each.epoch), held.after)
                 for each in streams_of(self._log, file)
                 if may_leave(each.stream)
-                and each.last_sequence <= self._proof.held.sequences.get((each.stream, each.epoch), 0)
+                and (held := self._proof.held.ranges.get((each.stream, each.epoch))) is not None
+                and held.after < each.last_sequence <= held.head.sequence
+                and not self._is_awaited(each.stream, file.last_position)
             )
             if may_go - self._files_seen.get(file.first_position, frozenset()):
                 self._files_seen[file.first_position] = may_go
                 yield file
 
     def _chosen(self, given: Iterable[Weight]) -> list[Weight]:
-        return [each for each in given if may_leave(each.stream) and self._proof.held.holds(each)]
+        return [
+            each
+            for each in given
+            if may_leave(each.stream)
+            and self._proof.held.holds(each)
+            and not self._is_awaited(each.stream, each.position, each.time_max)
+        ]
+
+    def _is_awaited(self, stream: StreamName, position: int, time_max: datetime = ANY_TIME) -> bool:
+        waiting = self._awaited.get(stream)
+        return waiting is not None and waiting.wants(position, time_max)
 
     def _reclaim(self) -> None:
         if self._to_reclaim:
@@ -276,14 +303,12 @@ def bounded(chosen: Sequence[Weight]) -> list[Weight]:
     return lot
 
 
-def take_off_held(
-    log: Log, station: Station, lot: Sequence[Weight], held: Held, now: datetime, *, credit: int | None = None
-) -> Freed:
+def take_off_held(log: Log, station: Station, lot: Sequence[Weight], held: Proven, now: datetime) -> Freed:
     """Take off what central holds, and record it; see `take_off_recorded`."""
-    return take_off_recorded(log, station, lot, pruned(lot, held, now), credit=credit)
+    return take_off_recorded(log, station, lot, pruned(lot, held, now))
 
 
-def pruned(lot: Sequence[Weight], held: Held, now: datetime) -> list[SegmentsPruned]:
+def pruned(lot: Sequence[Weight], held: Proven, now: datetime) -> list[SegmentsPruned]:
     """What is said of a lot that goes because central holds it."""
     return [
         SegmentsPruned(

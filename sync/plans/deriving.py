@@ -4,16 +4,19 @@ Contract: a derived stream `STATION/SOURCE~HASH/TYPE` has its own sequence and c
 filter lets through once, in the order of the stream that it comes from, from `from` on: whatever is killed when, in
 whatever steps it was made, and also when its entry went out of the plan and came back. Another filter is another
 stream, complete from its own `from`. What was derived and how far that goes commit together: the checkpoint
-`derive:STREAM` is the log's position up to which the base stream was read.
+`derive:STREAM` is the log's position up to which the base stream was read. Its state says up to where the derived
+stream was made of what the log held when the deriver took up the plan: that is backlog, what follows is live.
 
 Who reads this log by position, as rules and queries do, gets no derived streams unless their source is named: the
 events are there already (`store.reading.Filter`).
 
 A deriver is stepped; a step reads one bounded page of the log. A base stream that cannot be filtered (a type unknown
 here, a damaged segment, a condition that fails) stops its derived stream until the plan changes or the program is
-started again, and the others go on. Segments whose payload has left the disk are passed over.
+started again, and the others go on. A segment whose payload was pruned stops it until the payload is back, and it
+goes on by itself; one that was given up is passed over, for the log says so and nothing brings it back.
 """
 
+import struct
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
@@ -23,8 +26,10 @@ from duckdb import DuckDBPyConnection
 from events import Draft, EventBatch, EventError, EventType, Position, Producer, Segment, Station, StreamName, decode
 from events.segment import draft_of, encode_payload
 from store import Checkpoint, Log, StreamHead
+from store.absence import Absence, recorded
 from store.reading import DERIVE, Filter
 from sync.errors import FilterFailed, PlanError
+from sync.plans.awaiting import Missing, Waiting, missing
 from sync.plans.entries import Entry, base_of, derived_name
 from sync.plans.filtering import Sieve, database, joined
 from sync.plans.plan import Plan
@@ -42,6 +47,7 @@ SEGMENT_EVENTS, SEGMENT_BYTES = 1_000, 2**20
 UNSAVED_POSITIONS = 20_000
 """Positions that may be passed over without output before the checkpoint is saved; a restart reads them again."""
 
+_MARK = struct.Struct(">Q32s")
 _UNKNOWN = -1
 _BEGIN = Checkpoint(0, b"")
 
@@ -74,6 +80,8 @@ class _Share:
     reached: int
     batches: list[EventBatch] = field(default_factory=list)
     error: str | None = None
+    gone_at: Position | None = None
+    """position of a pruned segment, where that is why"""
 
 
 class Deriver:
@@ -101,7 +109,15 @@ class Deriver:
         self._positions: dict[StreamName, int] = {}
         """How far the base streams were read; a little ahead of what is saved where nothing was let through."""
         self._errors: dict[StreamName, str] = {}
+        self._gone: dict[StreamName, Position] = {}
+        """Where streams are stopped because a payload of their base was pruned; it may come back."""
+        self._absence: Absence | None = None
+        """What the log records of payloads that left the disk, once that was asked for."""
         self._is_turn_of_live = False
+        self._begun = 0
+        """Where the log stood when the plan was taken up: what is derived up to there is old."""
+        self._marks: dict[StreamName, bytes] = {}
+        """The states of the checkpoints, as this deriver knows them."""
 
     def step(self) -> bool:
         """Derive from one page of the log; whether more is waiting.
@@ -145,7 +161,9 @@ class Deriver:
     def _look(self) -> None:
         """Take up the plan, the streams, and the checkpoints as they are now."""
         head, heads = self._log.heads(self._station)
-        self._heed_plan(heads)
+        self._heed_plan(heads, head)
+        self._absence = None
+        self._heed_repairs()
         if self._planned is not None:
             for base in _bases(heads) - self._looked_at:
                 self._note(base, self._planned.plan)
@@ -153,10 +171,11 @@ class Deriver:
         if self._derivations.keys() - self._positions.keys():
             saved = self._log.checkpoints()
             self._saved = {name: saved.get(_checkpoint(name), _BEGIN).position for name in self._derivations}
+            self._marks = {name: saved.get(_checkpoint(name), _BEGIN).state for name in self._derivations}
             self._positions = {name: max(at, self._positions.get(name, 0)) for name, at in self._saved.items()}
         self._head = head
 
-    def _heed_plan(self, heads: Sequence[StreamHead]) -> None:
+    def _heed_plan(self, heads: Sequence[StreamHead], head: int) -> None:
         """Begin anew with the plan that the log names, if it is another."""
         stream = plan_stream(self._station)
         place = max(((each.epoch, each.sequence) for each in heads if each.stream == stream), default=None)
@@ -164,8 +183,22 @@ class Deriver:
             return
         self._planned = planned_in(self._log, self._station)
         self._plan_place = place
-        for kept in (self._derivations, self._looked_at, self._errors, self._sieves, self._positions):
+        self._begun = head
+        for kept in (self._derivations, self._looked_at, self._errors, self._gone, self._sieves, self._positions):
             kept.clear()
+
+    def _heed_repairs(self) -> None:
+        """Go on with the streams for which a payload that was gone is back, or is given up."""
+        for name, position in list(self._gone.items()):
+            (segment,) = self._log.page(position, position, Filter(with_hollow=True), 1)
+            if segment.has_payload or self._is_given_up(segment):
+                del self._gone[name], self._errors[name]
+
+    def _is_given_up(self, segment: Segment) -> bool:
+        if self._absence is None:
+            bases = {each.base for each in self._derivations.values()}
+            self._absence = recorded(self._log, bases, self._station)
+        return self._absence.is_lost(segment)
 
     def _doubt(self) -> None:
         """Read the checkpoints again before the next step."""
@@ -210,7 +243,8 @@ class Deriver:
         is_live = waiting[-1] == foremost and (len(waiting) == 1 or not self._is_turn_of_live)
         begun = waiting[-1] if is_live else waiting[0]
         ahead = min((position for position in at.values() if position > begun), default=self._head)
-        end = min(self._head, ahead, begun + PAGE_POSITIONS)
+        old = self._begun if begun < self._begun else self._head
+        end = min(self._head, ahead, begun + PAGE_POSITIONS, old)
         group = [self._derivations[name] for name, position in at.items() if position == begun]
         return group, begun + 1, end
 
@@ -221,6 +255,7 @@ class Deriver:
             types=sorted({str(each.base.type) for each in group}),
             sources=sorted({str(each.base.source) for each in group}),
             stations=[self._station],
+            with_hollow=True,
         )
         segments = self._log.page(first, last, wanted, PAGE_SEGMENTS)
         reached = last if len(segments) < PAGE_SEGMENTS else segments[-1].position
@@ -235,14 +270,21 @@ class Deriver:
                 self._positions[name] = share.reached
                 if share.error is not None:
                     self._errors[name] = share.error
+                    if share.gone_at is not None:
+                        self._gone[name] = share.gone_at
 
     def _share(self, derivation: Derivation, segments: Sequence[Segment], reached: int) -> _Share:
         """What one derived stream gets of its base's segments, as far as they can be filtered."""
         batches: list[EventBatch] = []
         since = derivation.entry.since
         for number, segment in enumerate(segments):
-            if not segment.has_payload or (since is not None and segment.header.time_max < since):
+            if since is not None and segment.header.time_max < since:
                 continue
+            if not segment.has_payload:
+                if self._is_given_up(segment):
+                    continue  # as the log says, and central is told
+                share = self._share(derivation, segments[:number], Position(segment.position - 1))
+                return self._stopped_at_gap(share, derivation, segment)
             try:
                 batches.append(decode(segment, self._log.catalogue))
             except EventError as error:
@@ -259,6 +301,21 @@ class Deriver:
             return self._halved(derivation, segments, reached)
         return _Share(reached, [] if passed is None else list(_cut(passed)))
 
+    def _stopped_at_gap(self, share: _Share, derivation: Derivation, segment: Segment) -> _Share:
+        """The share, stopped before a segment whose payload was pruned, unless it stopped earlier."""
+        if share.error is None:
+            waiting = Waiting(derivation.stream, segment.position - 1, derivation.entry.since)
+            here = Missing(
+                derivation.base,
+                derivation.stream,
+                segment.header.epoch,
+                segment.header.first_sequence,
+                segment.header.last_sequence,
+            )
+            share.error = str(next(missing(self._log, {derivation.base: waiting}), here))
+            share.gone_at = segment.position
+        return share
+
     def _halved(self, derivation: Derivation, segments: Sequence[Segment], reached: int) -> _Share:
         """The same in two halves, to find the segment at which the condition fails."""
         middle = len(segments) // 2
@@ -271,22 +328,38 @@ class Deriver:
     def _store(self, shares: Mapping[StreamName, _Share]) -> bool:
         """Append what was derived and move the checkpoints; False if another deriver was faster."""
         has_output = any(share.batches or share.error for share in shares.values())
-        if not has_output and all(
-            share.reached - self._saved[name] < UNSAVED_POSITIONS for name, share in shares.items()
-        ):
+        has_caught_up = any(self._saved[name] < self._begun <= share.reached for name, share in shares.items())
+        is_far = any(share.reached - self._saved[name] >= UNSAVED_POSITIONS for name, share in shares.items())
+        if not (has_output or has_caught_up or is_far):
             return True
         names = {_checkpoint(name): name for name in shares}
+        marks = {name: self._mark(name, share) for name, share in shares.items()}
         with self._log.transaction() as transaction:
             stand = transaction.checkpoints(list(names))
             if any(stand[checkpoint].position != self._saved[name] for checkpoint, name in names.items()):
                 self._doubt()
                 return False
+            drafts = list(self._drafts(shares))
+            for draft, appended in zip(drafts, transaction.append(drafts), strict=True):
+                if shares[draft.stream].reached == self._begun:
+                    marks[draft.stream] = mark_state(
+                        appended.first_sequence + draft.event_count - 1, appended.chain_hash
+                    )
             transaction.save_checkpoints(
-                {checkpoint: Checkpoint(shares[name].reached, b"") for checkpoint, name in names.items()}
+                {checkpoint: Checkpoint(shares[name].reached, marks[name]) for checkpoint, name in names.items()}
             )
-            transaction.append(list(self._drafts(shares)))
         self._saved.update({name: share.reached for name, share in shares.items()})
+        self._marks.update(marks)
         return True
+
+    def _mark(self, name: StreamName, share: _Share) -> bytes:
+        """The state to be saved: how far the stream is old, once that is known."""
+        if share.reached < self._begun:
+            return b""
+        if share.reached > self._begun and self._marks.get(name):
+            return self._marks[name]
+        head = self._log.stream_head(name)  # void where another deriver moves the checkpoint
+        return mark_state(head.sequence, head.chain_hash)
 
     def _drafts(self, shares: Mapping[StreamName, _Share]) -> Iterator[Draft]:
         for name, share in shares.items():
@@ -315,6 +388,16 @@ class DerivingChore:
             return True
         self._deriver.check()
         return False
+
+
+def mark_state(sequence: int, chain_hash: bytes) -> bytes:
+    """The state of a checkpoint that says up to where its derived stream was made of what was old already."""
+    return _MARK.pack(sequence, chain_hash)
+
+
+def mark_in(state: bytes) -> tuple[int, bytes] | None:
+    """The sequence and the chain hash there that a state says; None while all that is made is old."""
+    return _MARK.unpack(state) if state else None
 
 
 def _checkpoint(stream: StreamName) -> str:

@@ -17,6 +17,7 @@ from store import Log, StreamHead
 from store.reading import Filter
 from store.sizes import Part, Size, sizes
 from sync.errors import FilterFailed, PlanError
+from sync.plans.awaiting import Awaited, awaited_by, missing
 from sync.plans.changes import Change, changes_of
 from sync.plans.checking import warnings_of
 from sync.plans.deriving import CHECKPOINT, SEGMENT_EVENTS
@@ -114,7 +115,8 @@ def preview(
             by_entry[plan.entries.index(entry)].append(each)
         else:
             staying += 1
-    looked = _Look(log, head, {(each.stream, each.epoch): each for each in own}, held)
+    awaited = awaited_by(log, station, plan)
+    looked = _Look(log, head, {(each.stream, each.epoch): each for each in own}, held, awaited)
     limit = _least(rate_bps, plan.rate_bps) if rate_bps is not None else None
     entries = tuple(looked.entry(n, plan.entries[n], chosen, limit) for n, chosen in by_entry.items())
     looked.close()
@@ -141,11 +143,19 @@ def held_by(status: Status | None, present: Plan | None) -> dict[tuple[StreamNam
 class _Look:
     """Looks at a log for one preview."""
 
-    def __init__(self, log: Log, head: int, heads: Mapping[tuple[StreamName, int], StreamHead], held: AllHeld) -> None:
+    def __init__(
+        self,
+        log: Log,
+        head: int,
+        heads: Mapping[tuple[StreamName, int], StreamHead],
+        held: AllHeld,
+        awaited: Awaited,
+    ) -> None:
         self._log = log
         self._head = head
         self._heads = heads
         self._held = held
+        self._awaited = awaited
         self._runs = database()
         self._checkpoints = log.checkpoints()
 
@@ -186,6 +196,7 @@ class _Look:
         """What a filter leaves of a stream: counted where it has been made already, else estimated."""
         try:
             name = derived_name(base, entry)
+            problems += [str(each) for each in missing(self._log, self._awaited, [base])]
             if self._is_made(base, name):
                 return self._sized([place for place in self._heads if place[0] == name], None)
             sample = self._sampled(base, entry)

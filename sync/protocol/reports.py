@@ -83,6 +83,8 @@ class Step:
     bytes: int = 0
     error: SyncError | LogUnavailable | None = None
     """Why it failed, or why a stream was stopped."""
+    gone: tuple[str, ...] = ()
+    """Ranges that are sent without payload though they were never given up: central lost what was pruned here."""
 
 
 _Stream = Annotated[

@@ -372,6 +372,8 @@ class CountersignRequest(Message):
     """of the stream of checkpoints"""
     checkpoint_sequence: Annotated[int, Field(ge=1, le=2**63 - 1)]
     """of the event checkpoint_signed"""
+    reads_bases: bool = False
+    """The station reads a signature that says from where on a stream is held."""
 
 
 class Countersigned(Message):

@@ -13,7 +13,7 @@ the others go on.
 import threading
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from itertools import pairwise
 from time import monotonic as steady
@@ -32,6 +32,7 @@ from sync.errors import (
     StreamStopped,
 )
 from sync.keeping.countersigning import Countersigning
+from sync.keeping.gone import GoneRecorder
 from sync.keeping.repair import records_for
 from sync.plans.plan import Entry, Plan
 from sync.plans.planning import plan_stream, planned_in, set_plan
@@ -102,6 +103,7 @@ class Daemon:
         self._contact = Contact(self._pace, now, random)
         self._chores = Chores(chores)
         self._countersigning = Countersigning(log, station, central_key, monotonic)
+        self._gone = GoneRecorder(log, station, now)
         self._reporter = Reporter(log, name, now, monotonic)
         self._sizer = Sizer(self._pace.latency_s, self._pace.request_bytes_min, self._pace.request_bytes)
         self._meter = Meter()
@@ -154,10 +156,27 @@ class Daemon:
                 if step.did == "nothing":
                     bell.wait(step.sleep_s, stop)
                 elif step.sleep_s:
-                    stop.wait(step.sleep_s)
+                    self._pause(step.sleep_s, stop)
         finally:
             bell.close()
             self._flights.close()
+
+    def meanwhile(self) -> bool:
+        """Do a piece of a chore while a pause lasts, as when central does not answer; whether there may be more."""
+        if self._is_log_away:
+            return False
+        try:
+            self._look()
+            return self._chores.step(self._now())
+        except (LogUnavailable, PlanError):
+            return False  # the next step meets the same, and says it
+
+    def _pause(self, seconds: float, stop: threading.Event) -> None:
+        """Wait, and do chores meanwhile; until `stop` is set at most."""
+        until = self._monotonic() + seconds
+        while not stop.is_set() and (left := until - self._monotonic()) > 0:
+            if not self.meanwhile():
+                stop.wait(left)
 
     def catch_up(self, pause: Callable[[float], object] = sleep) -> int:
         """Number of events sent until nothing was left to do.
@@ -265,8 +284,10 @@ class Daemon:
         if is_held_up and len(self._flights):
             self._flights.wait()
             return Step("sending")
+        if self._plan.paused:
+            return Step("chore") if self._chores.step(self._now()) else self._rest("paused")
         if is_held_up:
-            return self._rest("paused") if self._plan.paused else self._hello()
+            return self._hello()
         return self._work()
 
     def _set_plan(self) -> Step:
@@ -418,6 +439,7 @@ class Daemon:
         parcel = self._outbox.fill([work.gap for work in works], self._capacity(works[0].entry))
         if not parcel.records:
             return Step("sending")  # the gap was filled by another reader: look again
+        gone = tuple(map(str, self._gone.record(record.segment for record in parcel.records)))
         entries = self._standing.planned
         sizes: dict[Entry, int] = {}
         for filled in parcel.filled:
@@ -429,7 +451,7 @@ class Daemon:
         self._state = "sending"
         self._flights.launch(parcel, works[0].entry.priority if works[0].is_live else BACKLOG)
         landed = self._flights.landed() if self._pace.in_flight == 1 else None
-        return Step("sending") if landed is None else self._land(landed)
+        return replace(Step("sending") if landed is None else self._land(landed), gone=gone)
 
     def _capacity(self, entry: Entry) -> Capacity:
         """What the next request may hold: what the link, or the cap on the entry, carries in the latency."""

@@ -9,7 +9,9 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from events import Station, StreamName
 from store import Log, StreamHead
+from store.reading import DERIVE
 from sync.errors import PlanError, StreamStopped
+from sync.plans.deriving import mark_in
 from sync.plans.plan import Entry, Plan
 from sync.protocol.wire import STREAMS_MAX
 from sync.runs import BEGINNING, Point, Runs, StreamKey, end_of, gaps_of, with_range
@@ -31,6 +33,10 @@ class Standing:
         self._planned: dict[StreamKey, Planned] = {}
         self._pending: dict[StreamKey, Planned] = {}
         self._marks: dict[StreamKey, Point] = {}
+        self._settled: set[StreamKey] = set()
+        """Derived streams of which it is known up to where they are backlog."""
+        self._told_at = 0
+        """Where the log stood when central last said what it holds, or the plan was taken up."""
         self._turns: dict[StreamKey, int] = {}
         self._turn = 0
         self._is_new = True
@@ -165,6 +171,8 @@ class Standing:
 
     def _forget_marks(self) -> None:
         self._marks.clear()
+        self._settled.clear()
+        self._told_at = self._log_head
         self._is_new = True
 
     def _look_at(self, heads: Iterable[StreamHead]) -> None:
@@ -203,7 +211,21 @@ class Standing:
         if key not in self._marks:
             runs = self.runs.get(key, ())
             self._marks[key] = mark_of(entry, runs, start, here) if self._is_new else BEGINNING
+        is_known = not entry.is_derived or key.epoch != self._log.epoch or key in self._settled
+        if not is_known and here.sequence > self._marks[key].sequence:
+            self._marks[key] = self._derived_mark(key, here, self._marks[key])
         return self._marks[key]
+
+    def _derived_mark(self, key: StreamKey, here: Point, mark: Point) -> Point:
+        """Up to where a derived stream is backlog: all of it, until what was old has been derived."""
+        checkpoint = self._log.checkpoint(f"{DERIVE}{key.stream}")
+        made = mark_in(checkpoint.state)
+        if made is None:
+            return here
+        if checkpoint.position >= self._told_at:
+            self._settled.add(key)
+        old = Point(*made)
+        return old if mark.sequence < old.sequence <= here.sequence else mark
 
     def _wait_or_not(self, key: StreamKey) -> None:
         planned = self._planned.get(key)

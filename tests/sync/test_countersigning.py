@@ -2,19 +2,22 @@
 
 from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from events import CheckpointCountersigned, CheckpointSigned, StreamName, batch_of, decode, encode, events_of
-from store import DiskNearlyFull, Log, Signer
+from store import DiskNearlyFull, Log, Signer, StreamHead
 from store.room import Room
 from sync import BadAnswer, Daemon, Plan, Refusal
-from sync.keeping.countersigning import countersign, heads_in, is_countersigned
+from sync.keeping.countersigned import Held, countersigned_bytes, held_in, is_countersigned
+from sync.keeping.countersigning import countersign
 from sync.keeping.pruning import Pruner
 from sync.protocol.reports import Pace
 from sync.protocol.wire import CountersignRequest
+from tests.store.tiered import seal_all
 from tests.sync.conftest import (
     BRNO,
     CENTRAL_KEY,
@@ -65,7 +68,7 @@ def test_a_checkpoint_that_central_holds_is_countersigned_once(station_log: Log,
     (event,) = given(station_log)
     assert is_countersigned(event, CENTRAL_KEY.public)
     assert (event.of_station, event.checkpoint_sequence) == ("brno-2", 1)
-    assert {str(head.stream): head.sequence for head in heads_in(event.held)} == {"brno-2/gate/track_point": 5}
+    assert {str(each.head.stream): each.head.sequence for each in held_in(event.held)} == {"brno-2/gate/track_point": 5}
     assert daemon.status().countersigned == 1
 
 
@@ -79,8 +82,8 @@ def test_who_catches_up_leaves_no_checkpoint_behind(station_log: Log, make: Make
     )
     daemon.catch_up()
 
-    assert {head.sequence for head in heads_in(given(station_log)[-1].held)} == {120}
-    assert len(heads_in(given(station_log)[-1].held)) == 2
+    assert {each.head.sequence for each in held_in(given(station_log)[-1].held)} == {120}
+    assert len(held_in(given(station_log)[-1].held)) == 2
 
 
 def test_signing_alone_leads_to_no_more_signatures(station_log: Log, make: MakeDaemon) -> None:
@@ -106,37 +109,125 @@ def test_what_is_not_sent_is_not_countersigned_and_what_is_not_asked_again(stati
 
     assert did(daemon).count("countersigned") == 1
     (event,) = given(station_log)
-    assert [head.stream.source for head in heads_in(event.held)] == ["gate"]
+    assert [each.head.stream.source for each in held_in(event.held)] == ["gate"]
     sign(station_log)
     did(daemon)
     assert did(daemon) == ["nothing"]
 
 
-def test_what_is_held_from_a_time_on_only_is_not_countersigned(
+GATE_FROM_THE_SECOND = {"stream": "*/gate/*", "from": "2026-05-01T12:00:00.004Z"}
+FROM_THE_SECOND = Plan.of({"entries": [GATE_FROM_THE_SECOND, {"stream": "*/log/*"}]})
+
+
+def one_pm() -> datetime:
+    return NOON.replace(hour=13)
+
+
+def held_of(log: Log) -> list[tuple[str, int, int]]:
+    return [(each.head.stream.source, each.after, each.head.sequence) for each in held_in(given(log)[-1].held)]
+
+
+def prune(log: Log) -> list[bool]:
+    pruner = Pruner(log, BRNO, timedelta(0), lambda event: is_countersigned(event, CENTRAL_KEY.public))
+    while pruner.step(datetime.now(UTC) + timedelta(days=1)):
+        pass
+    return [each.has_payload for each in log.read(stream_of(), with_hollow=True)]
+
+
+def test_what_is_held_from_a_time_on_is_countersigned_and_pruned_from_there(
     station_log: Log, central_log: Log, make: MakeDaemon
 ) -> None:
     append_points(station_log, stream_of(), [3, 3])
     sign(station_log)
-    entries = [{"stream": "*/gate/*", "from": "2026-05-01T12:00:00.004Z"}, {"stream": "*/log/*"}]
-    daemon = make(plan=Plan.of({"entries": entries}), now=lambda: NOON.replace(hour=13))
+    daemon = make(plan=FROM_THE_SECOND, now=one_pm)
     daemon.catch_up()
 
     assert [(run.after, run.sequence) for run in central_log.runs(stream_of(), 1)] == [(3, 6)]
-    assert given(station_log) == []
+    (event,) = given(station_log)
+    assert is_countersigned(event, CENTRAL_KEY.public)
+    assert held_of(station_log) == [("gate", 3, 6)]
+    assert prune(station_log) == [True, False]
+    assert did(make(plan=FROM_THE_SECOND, now=one_pm))[-1:] == ["nothing"]
+    assert len(given(station_log)) == 1, "nothing new, after a restart too"
 
 
-@pytest.mark.parametrize("change", ["station", "held", "statement_hash", "signature"])
+def test_what_a_later_plan_fills_in_below_is_countersigned_too(station_log: Log, make: MakeDaemon) -> None:
+    append_points(station_log, stream_of(), [3, 3])
+    sign(station_log)
+    make(plan=FROM_THE_SECOND, now=one_pm).catch_up()
+    make(now=one_pm).catch_up()
+    make(now=one_pm).catch_up()  # a daemon looks once a second at most what is new to sign
+
+    assert held_of(station_log) == [("gate", 0, 6)]
+    assert prune(station_log) == [False, False]
+
+
+def test_a_sealed_file_goes_when_what_lies_below_a_base_is_held_too(
+    station_log: Log, make: MakeDaemon, tmp_path: Path
+) -> None:
+    append_points(station_log, stream_of(), [3, 30])
+    seal_all(station_log, tmp_path, file_bytes=1_000_000)
+    sign(station_log)
+    make(plan=FROM_THE_SECOND, now=one_pm).catch_up()
+    pruner = Pruner(station_log, BRNO, timedelta(0), lambda event: is_countersigned(event, CENTRAL_KEY.public))
+    later = datetime.now(UTC) + timedelta(days=1)
+
+    def pruned() -> list[bool]:
+        while pruner.step(later):
+            pass
+        return [each.has_payload for each in station_log.read(stream_of(), with_hollow=True)]
+
+    assert pruned() == [True, False]
+    make(now=one_pm).catch_up()
+    make(now=one_pm).catch_up()
+    assert pruned() == [False, False]
+
+
+def test_a_station_that_reads_no_bases_is_signed_what_central_holds_whole(
+    station_log: Log, central_log: Log, make: MakeDaemon
+) -> None:
+    append_points(station_log, stream_of(), [3, 3])
+    append_points(station_log, stream_of("yard"), [3])
+    sign(station_log)
+    plan = Plan.of({"entries": [GATE_FROM_THE_SECOND, {"stream": "*/*/*"}]})
+    make(plan=plan, now=one_pm, central_key=None).catch_up()
+
+    whole = countersign(central_log, BRNO, ASKED, CENTRAL_KEY, NOON)
+    assert [each.head.stream.source for each in held_in(whole.held)] == ["yard"]
+    asked = CountersignRequest(epoch=1, checkpoint_sequence=1, reads_bases=True).encoded()
+    both = countersign(central_log, BRNO, asked, CENTRAL_KEY, NOON)
+    assert [(each.head.stream.source, each.after) for each in held_in(both.held)] == [("gate", 3), ("yard", 0)]
+
+
+def test_what_is_signed_of_a_base_is_as_documented() -> None:
+    head = StreamHead(stream_of(), 1, 6, b"h" * 32)
+    said = countersigned_bytes("brno-2", 1, b"s" * 32, [Held(head, 3, b"a" * 32)], NOON, b"k" * 32)
+    row = b"".join(
+        [
+            *(b"\0\6brno-2", b"\0\0\0\1", b"\0\4gate", b"\0\x0btrack_point", (6).to_bytes(8, "big"), b"h" * 32),
+            *((3).to_bytes(8, "big"), b"a" * 32),
+        ]
+    )
+    held = sha256(b"VIANHLD1\0\0\0\1" + row).digest()
+    time = int(NOON.timestamp() * 1e6).to_bytes(8, "big")
+    assert said == b"VIANCSG2\0\6brno-2" + (1).to_bytes(8, "big") + b"s" * 32 + held + time + b"k" * 32
+    assert countersigned_bytes("brno-2", 1, b"s" * 32, [Held(head)], NOON, b"k" * 32).startswith(b"VIANCSG1")
+
+
+@pytest.mark.parametrize("change", ["station", "held", "base", "statement_hash", "signature"])
 def test_a_signature_is_over_all_that_the_event_says(change: str, station_log: Log, make: MakeDaemon) -> None:
     append_points(station_log, stream_of(), [3])
     sign(station_log)
     make().catch_up()
     (event,) = given(station_log)
-    changed = {
+    changes: dict[str, dict[str, Any]] = {
         "station": {"of_station": "oslo-1"},
         "held": {"held": event.held.replace(",3,", ",4,")},
+        "base": {"held": event.held.replace("]]", f',1,"{"00" * 32}"]]')},
         "statement_hash": {"statement_hash": "0" * 64},
         "signature": {"signature": bytes(64)},
-    }[change]
+    }
+    changed = changes[change]
 
     assert is_countersigned(event, CENTRAL_KEY.public)
     assert not is_countersigned(event.model_copy(update=changed), CENTRAL_KEY.public)
@@ -173,7 +264,7 @@ def test_what_central_does_not_hold_it_does_not_sign(station_log: Log, central_l
     append_points(station_log, stream_of(), [2])
     make(central_key=None).catch_up()
     signed = countersign(central_log, BRNO, ASKED, CENTRAL_KEY, NOON)
-    assert [(head.stream.source, head.sequence) for head in heads_in(signed.held)] == [("gate", 6)]
+    assert [(each.head.stream.source, each.head.sequence) for each in held_in(signed.held)] == [("gate", 6)]
 
 
 def test_a_checkpoint_that_its_station_did_not_sign_is_refused(
@@ -201,20 +292,14 @@ def test_what_a_central_that_was_restored_lost_is_not_pruned_before_it_holds_it_
     make().catch_up()
     restored = serve(central_app(make_log()))
 
-    def prune() -> list[bool]:
-        pruner = Pruner(station_log, BRNO, timedelta(0), lambda event: is_countersigned(event, CENTRAL_KEY.public))
-        while pruner.step(datetime.now(UTC) + timedelta(days=1)):
-            pass
-        return [each.has_payload for each in station_log.read(stream_of(), with_hollow=True)]
-
     not_now = Plan.of({"entries": [{"stream": "*/gate/*", "send": False}, {"stream": "*/*/*"}]})
     make(address=restored, plan=not_now).catch_up()
-    assert prune() == [True, True]
+    assert prune(station_log) == [True, True]
 
     daemon = make(address=restored)
     daemon.catch_up()
     assert daemon.status().countersigned is not None
-    assert prune() == [False, False]
+    assert prune(station_log) == [False, False]
 
 
 def test_what_leads_to_room_is_recorded_on_a_full_disk(station_log: Log, make: MakeDaemon) -> None:

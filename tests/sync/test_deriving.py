@@ -1,8 +1,10 @@
 """Derived streams are exact: in any steps, through kills, and whatever the plan did in between."""
 
 import contextlib
+import re
+import threading
 from collections.abc import Callable
-from datetime import timedelta
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -10,18 +12,22 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from events import Catalogue, EventType, PlateRead, StreamName, batch_of, decode, encode, events_of
+from events import Catalogue, EventType, LossRecorded, PlateRead, StreamName, batch_of, decode, encode, events_of
 from store import Log, LogUnavailable, verify
 from store.log import Transaction
+from store.payloads import put_back, weights
 from sync import FilterFailed, Plan
+from sync.keeping.pruning import Proven, take_off_held, take_off_recorded
 from sync.plans.deriving import Deriver, DerivingChore
 from sync.plans.entries import derived_name
 from sync.plans.planning import plan_stream, set_plan
+from sync.protocol.reports import Step
 from tests.store.tiered import seal_all
 from tests.sync.conftest import BRNO, NOON, PRODUCER, MakeDaemon, append_points, points, stream_of
 
 MakeLog = Callable[..., Log]
 GATE, YARD = stream_of("gate"), stream_of("yard")
+NOW = datetime.now(UTC) + timedelta(days=1)
 
 
 def plan_of(*entries: dict[str, Any]) -> Plan:
@@ -369,16 +375,110 @@ def test_a_source_with_a_name_too_long_is_told(station_log: Log) -> None:
     assert "the name of its source has 60 characters" in str(standing.error)
 
 
-def test_segments_without_payload_are_passed_over(station_log: Log) -> None:
+def test_segments_that_were_given_up_are_passed_over(station_log: Log) -> None:
     append_points(station_log, GATE, [3, 3, 3])
-    with station_log.connection() as connection:
-        connection.execute("reset role")
-        connection.execute("alter table segments disable trigger user")
-        connection.execute("update segments set payload = null where position = 2")
-        connection.execute("alter table segments enable trigger user")
+    give_up(station_log, 2)
     made = plan(station_log, filtered("true"))
     run(Deriver(station_log, BRNO))
     assert frames(derived(station_log, made)) == [0, 1, 2, 6, 7, 8]
+
+
+def test_a_pruned_segment_stops_the_stream_and_it_goes_on_by_itself_when_it_is_back(station_log: Log) -> None:
+    append_points(station_log, GATE, [3, 3, 3, 3])
+    payloads = {segment.position: segment.payload for segment in station_log.read(GATE)}
+    prune(station_log, 2, 3)
+    made = plan(station_log, filtered("true"))
+    deriver = Deriver(station_log, BRNO)
+    run(deriver)
+
+    assert frames(derived(station_log, made)) == [0, 1, 2]
+    name = derived_name(GATE, made.entries[0])
+    said = f"{GATE} was pruned from sequence 4 to 9 of epoch 1: {name} is stopped there until they are back. Next: "
+    command = f"vian sync repair --stream {GATE} --epoch 1 --from 4 --to 9"
+    with pytest.raises(FilterFailed, match=re.escape(said + command)):
+        deriver.check()
+
+    for position in (2, 3):
+        with station_log.transaction() as transaction:
+            put_back(transaction, position, payloads[position])
+        append_points(station_log, YARD, [1])  # as repair does, which records what it put back
+        run(deriver)
+    assert frames(derived(station_log, made)) == list(range(12))
+    deriver.check()
+
+
+def test_what_was_pruned_before_the_time_from_which_a_stream_is_wanted_is_not_missed(station_log: Log) -> None:
+    append_points(station_log, GATE, [3, 3])
+    prune(station_log, 1)
+    made = plan(station_log, filtered("true", **{"from": (NOON + timedelta(milliseconds=3)).isoformat()}))
+    deriver = Deriver(station_log, BRNO)
+    run(deriver)
+    deriver.check()
+    assert frames(derived(station_log, made)) == [3, 4, 5]
+
+
+def prune(log: Log, *positions: int) -> None:
+    """Take payloads off as what central holds."""
+    found = [each for each in weights(log, 0, NOW, 1000) if each.position in positions]
+    take_off_held(log, BRNO, found, Proven("", {}), NOW)
+
+
+def give_up(log: Log, position: int) -> None:
+    """Take a payload off as a loss."""
+    (lost,) = weights(log, position - 1, NOW, 1)
+    event = LossRecorded(
+        time=NOON,
+        stream=str(lost.stream),
+        what="segments",
+        count=1,
+        first_sequence=lost.first_sequence,
+        last_sequence=lost.last_sequence,
+        lost_from_at=lost.time_min,
+        lost_until_at=lost.time_max,
+        reason="a test",
+        policy="a test",
+    )
+    take_off_recorded(log, BRNO, [lost], [event])
+
+
+NOWHERE = "http://127.0.0.1:9"
+
+
+def test_without_central_it_is_derived_too(station_log: Log, make_daemon: MakeDaemon) -> None:
+    append_points(station_log, GATE, [3, 3])
+    made = plan_of(filtered("frame > 0"))
+    daemon = make_daemon(address=NOWHERE, plan=made, chores=(DerivingChore(Deriver(station_log, BRNO)),))
+    assert [daemon.step().did for _ in range(2)] == ["planned", "failed"]
+    while daemon.meanwhile():
+        pass
+    assert frames(derived(station_log, made)) == [1, 2, 3, 4, 5]
+    append_points(station_log, GATE, [2])
+    while daemon.meanwhile():
+        pass
+    assert frames(derived(station_log, made)) == [1, 2, 3, 4, 5, 6, 7]
+    assert derived_name(GATE, made.entries[0]) in [each.stream for each in daemon.status().streams]
+
+
+def test_a_daemon_that_runs_derives_while_it_waits_for_central(station_log: Log, make_daemon: MakeDaemon) -> None:
+    append_points(station_log, GATE, [3])
+    made = plan_of(filtered("true"))
+    daemon = make_daemon(address=NOWHERE, plan=made, chores=(DerivingChore(Deriver(station_log, BRNO)),))
+    stop, failed = threading.Event(), []
+
+    def tell(step: Step) -> None:
+        failed.append(step.did == "failed")
+        if sum(failed) == 5:
+            stop.set()
+
+    daemon.run(stop, tell)
+    assert frames(derived(station_log, made)) == [0, 1, 2]
+
+
+def test_while_the_plan_is_paused_it_is_derived(station_log: Log, make_daemon: MakeDaemon) -> None:
+    append_points(station_log, GATE, [3])
+    made = Plan.of({"entries": [filtered("true")], "paused": True})
+    make_daemon(address=NOWHERE, plan=made, chores=(DerivingChore(Deriver(station_log, BRNO)),)).catch_up()
+    assert frames(derived(station_log, made)) == [0, 1, 2]
 
 
 def test_large_events_are_cut_into_segments(station_log: Log, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -25,9 +25,13 @@ from store import DiskNearlyFull, Log, Projector, open_log, verify
 from store.room import Room
 from sync.keeping.losses import DiskWatch
 from sync.keeping.pruning import Proof
-from sync.plans.plan import GiveUp
+from sync.plans.deriving import Deriver
+from sync.plans.entries import derived_name
+from sync.plans.plan import GiveUp, Plan
+from sync.plans.planning import set_plan
 from tests.store.disks import fill
 from tests.store.samples import GATE, NOON, PRODUCER, YARD, append
+from tests.store.tiered import seal_all
 from tests.sync.test_pruning import countersign, pruned_of, signed, whole
 
 BRNO = Station("brno")
@@ -39,9 +43,9 @@ NOISE = StreamName.of("brno", "noise", "track_point")
 class Disk:
     """A disk that has as much room as the test says."""
 
-    def __init__(self, log: Log, min_mib: int = 64) -> None:
+    def __init__(self, log: Log, min_mib: int = 64, folder: Path = Path("/")) -> None:
         self.free_mib = 1000
-        log.room = Room(log._fetched, Path("/"), lambda _: self.free_mib * MIB)
+        log.room = Room(log._fetched, folder, lambda _: self.free_mib * MIB)
         log.room.bytes_min = min_mib * MIB
 
 
@@ -134,6 +138,68 @@ def test_what_went_is_credit_that_recording_uses_up(log: Log) -> None:
     disk.free_mib = 100
     work(disk_watch)
     assert log.room.credit() == 0
+
+
+def test_sealed_files_on_the_same_disk_go_first_and_are_recorded_too(log: Log, tmp_path: Path) -> None:
+    disk = Disk(log, folder=tmp_path)
+    append(log, GATE, 30, 20)
+    append(log, YARD, 2)
+    seal_all(log, tmp_path, file_bytes=1_000_000)
+    append(log, GATE, 10)
+    countersign(log, (GATE, 30))
+    (before,) = log.archive.files()
+    disk.free_mib = 40
+    work(watch(log, give_up("*/gate/*")))
+    assert (whole(log, GATE), whole(log, YARD)) == ([False] * 3, [True])
+    assert pruned_of(log) == [(str(GATE), 1, 30, 1)]
+    assert [(each.first_sequence, each.last_sequence) for each in losses(log)] == [(31, 50), (51, 60)]
+    found = verify(log, station="brno")
+    assert (found.is_sound, found.hollow) == (True, 3)
+    (after,) = log.archive.files()
+    assert after.bytes < before.bytes
+    assert [path.name for path in (tmp_path / "_sealed").iterdir()] == [Path(after.path).name]
+
+
+def test_sealed_files_that_give_this_disk_no_room_or_need_too_much_stay(log: Log, tmp_path: Path) -> None:
+    disk = Disk(log, folder=tmp_path)
+    append(log, GATE, 30)
+    append(log, YARD, 2)
+    seal_all(log, tmp_path, file_bytes=1_000_000)
+    disk.free_mib = 0  # no room for what stays of the file to be written anew
+    work(watch(log, give_up("*/gate/*")))
+    assert whole(log, GATE) == [True]
+    disk.free_mib = 40
+    Disk(log, folder=Path("/proc")).free_mib = 40
+    work(watch(log, give_up("*/gate/*")))
+    assert whole(log, GATE) == [True]
+
+
+def test_what_a_derived_stream_waits_for_goes_last_of_all_and_the_loss_says_so(log: Log) -> None:
+    disk = Disk(log)
+    append(log, GATE, 3)
+    entries = [{"stream": "*/gate/*", "where": "true"}, {"stream": "*/*/*"}]
+    planned = set_plan(log, BRNO, Plan.of({"entries": entries}), "", NOW)
+    deriver = Deriver(log, BRNO)
+    while deriver.step():
+        pass
+    append(log, GATE, 3)
+    append(log, YARD, 3)
+    disk.free_mib = 40
+    work(watch(log, give_up("*/gate/*"), give_up("*/yard/*")))
+    assert [(each.stream, each.first_sequence) for each in losses(log)] == [
+        (str(GATE), 1),
+        (str(YARD), 1),
+        (str(GATE), 4),
+    ]
+    name = derived_name(GATE, planned.plan.entries[0])
+    reasons = [each.reason.split("lacks them")[1] for each in losses(log)]
+    assert reasons == ["", "", f"; {name} had not been derived from them"]
+    disk.free_mib = 1000
+    append(log, GATE, 2)
+    while deriver.step():
+        pass
+    deriver.check()
+    assert [each.header.event_count for each in log.read(name)] == [3, 2]
 
 
 def test_a_policy_that_changes_counts_at_the_next_step(log: Log) -> None:

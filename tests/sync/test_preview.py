@@ -17,7 +17,7 @@ from sync.protocol.reports import Status, StreamStatus
 from sync.protocol.wire import record_size
 from tests.store.tiered import seal_all
 from tests.sync.conftest import BRNO, NOON, append_points, stream_of
-from tests.sync.test_deriving import filtered, plan, run
+from tests.sync.test_deriving import filtered, plan, prune, run
 
 GATE, YARD = stream_of("gate"), stream_of("yard")
 LATER = (NOON + timedelta(milliseconds=1000)).isoformat()
@@ -117,6 +117,16 @@ def test_a_filter_that_takes_all_and_a_stream_that_cannot_be_filtered_are_told(f
     found = one(filled, filtered("frame * 9223372036854775807 > 1"))
     assert (found.is_exact, found.events) == (False, 0)
     assert "brno-2/gate/track_point: the condition fails: Out of Range" in found.problems[0]
+
+
+def test_what_was_pruned_and_a_filter_would_want_is_told_with_its_range(filled: Log) -> None:
+    prune(filled, 1, 2)
+    found = one(filled, filtered("track_id = 1"))
+    assert len(found.problems) == 1
+    assert f"{GATE} was pruned from sequence 1 to 1500 of epoch 1: " in found.problems[0]
+    assert one(filled, {"stream": "*/gate/*"}).problems == ()
+    late = (NOON + timedelta(milliseconds=1500)).isoformat()
+    assert one(filled, filtered("track_id = 1", **{"from": late})).problems == ()
 
 
 def test_what_is_sealed_is_estimated(filled: Log, tmp_path: Path) -> None:

@@ -10,11 +10,15 @@ from pathlib import Path
 import pytest
 
 from events import CheckpointCountersigned, SegmentsPruned, Station, StreamName, decode, events_of
-from store import Log, Sealer, StoreError, verify
+from store import ArchiveUnavailable, Log, Sealer, StoreError, verify
 from store.coldtier import ArchiveHead
+from store.locks import ARCHIVE, tried_lock
 from store.payloads import take_off
 from store.resealing import Resealer
 from sync.keeping.pruning import Pruner
+from sync.plans.deriving import Deriver
+from sync.plans.plan import Plan
+from sync.plans.planning import set_plan
 from tests.store.samples import GATE, NOON, YARD, append, draft_of, owner, query
 from tests.store.tiered import seal_all
 from tests.sync.conftest import MakeDaemon
@@ -205,8 +209,11 @@ def test_who_reads_a_sealed_file_while_it_is_written_anew_goes_on(log: Log, tmp_
         assert verify(other, station="brno").is_sound
 
 
+@pytest.mark.parametrize("who", ["sealer", "pruner"])
 @pytest.mark.parametrize("step", ["plan_resealing", "reseal_file", "forget_sealing"])
-def test_a_file_whose_rewriting_was_interrupted_is_whole_and_cleared_away(log: Log, tmp_path: Path, step: str) -> None:
+def test_a_file_whose_rewriting_was_interrupted_is_whole_and_cleared_away(
+    log: Log, tmp_path: Path, step: str, who: str
+) -> None:
     append(log, GATE, 30, 20)
     seal_all(log, tmp_path, file_bytes=1_000_000)
     countersign(log, (GATE, 50))
@@ -216,12 +223,40 @@ def test_a_file_whose_rewriting_was_interrupted_is_whole_and_cleared_away(log: L
             run(Pruner(log, BRNO, DAYS_30, signed))
         connection.execute(f"alter function {step}_away rename to {step}")  # type: ignore[call-overload]
     assert verify(log, station="brno").is_sound
-    Sealer(log, str(tmp_path)).resume()
-    assert len(list((tmp_path / "_sealed").iterdir())) == 1
+    if who == "sealer":
+        Sealer(log, str(tmp_path)).resume()
+        assert len(list((tmp_path / "_sealed").iterdir())) == 1
     run(Pruner(log, BRNO, DAYS_30, signed))
     found = verify(log, station="brno")
     assert (found.is_sound, found.hollow) == (True, 2)
     assert len(list((tmp_path / "_sealed").iterdir())) == 1
+
+
+def test_while_another_is_at_work_on_the_archive_a_file_waits_and_is_not_forgotten(log: Log, tmp_path: Path) -> None:
+    append(log, GATE, 30)
+    seal_all(log, tmp_path, file_bytes=1_000_000)
+    countersign(log, (GATE, 30))
+    pruner = Pruner(log, BRNO, DAYS_30, signed)
+    with tried_lock(log, ARCHIVE) as is_mine:
+        assert is_mine
+        with pytest.raises(ArchiveUnavailable, match="another command is at work on the archive"):
+            run(pruner)
+    run(pruner)
+    assert whole(log, GATE) == [False]
+
+
+def test_what_a_derived_stream_waits_for_is_not_pruned(log: Log) -> None:
+    append(log, GATE, 3, 3)
+    countersign(log, (GATE, 6))
+    since = (NOON + timedelta(seconds=0.16)).isoformat()
+    set_plan(log, BRNO, Plan.of({"entries": [{"stream": "*/gate/*", "where": "true", "from": since}]}), "", LATER)
+    run(Pruner(log, BRNO, DAYS_30, signed))
+    assert whole(log, GATE) == [False, True]
+    deriver = Deriver(log, BRNO)
+    while deriver.step():
+        pass
+    run(Pruner(log, BRNO, DAYS_30, signed))
+    assert whole(log, GATE) == [False, False]
 
 
 @pytest.mark.parametrize("protocol", [1, 2])

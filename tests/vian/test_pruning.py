@@ -11,7 +11,7 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from events import CheckpointCountersigned, EventError, LossRecorded, station_name
 from store import Log, LogUnavailable, StationKey, StoreError
 from store.room import Room
-from sync.keeping.countersigning import countersigned_bytes
+from sync.keeping.countersigned import countersigned_bytes
 from sync.plans.plan import Plan
 from sync.plans.planning import set_plan
 from tests.store.samples import GATE, NOON, append

@@ -7,6 +7,7 @@ from typing import Annotated, Any
 import typer
 
 from store import Log
+from store.locks import ARCHIVE
 from store.parquet import Projected, project, waiting
 from store.sealing import Sealed, outlook
 from vian import archiving, options
@@ -58,7 +59,7 @@ def archive(
         if dry_run:
             _foresee(log, name, before, output)
             return
-        with exclusively(log, "the archive"):
+        with exclusively(log, ARCHIVE):
             done, files = _archive(log, location, before, settings.archive_file_mb * _MB, output)
         if not output.is_json:
             output.line(f"{done} segments sealed in {files} files at {name}" if files else _nothing(log, before))
@@ -81,7 +82,7 @@ def write_parquet(
 ) -> None:
     """Write the decoded Parquet of sealed files that have none, or could not be decoded whole; with --all anew."""
     output = Output(is_json=as_json)
-    with opened(settings_for(data_dir, dsn), data_dir=data_dir) as log, exclusively(log, "the archive"):
+    with opened(settings_for(data_dir, dsn), data_dir=data_dir) as log, exclusively(log, ARCHIVE):
         incomplete = {row[0] for row in _rows(log, "select file from archive_projections where segments_skipped > 0")}
         missing = {file.first_position for file in waiting(log)}
         files = [file for file in log.archive.files() if everything or file.first_position in missing | incomplete]
@@ -102,7 +103,7 @@ def relocate(
 ) -> None:
     """Read sealed files from another place from now on, once each of them was found there unchanged."""
     output = Output(is_json=as_json)
-    with opened(settings_for(data_dir, dsn), data_dir=data_dir) as log, exclusively(log, "the archive"):
+    with opened(settings_for(data_dir, dsn), data_dir=data_dir) as log, exclusively(log, ARCHIVE):
         location = location_for(log, to)
         with output.progress("sealed files", len(log.archive.files())) as bar:
             count = archiving.relocate(log, location, bar.at)

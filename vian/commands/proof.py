@@ -1,10 +1,10 @@
 """`vian init`, `vian sign`, `vian verify`: the station's key, its signatures, and whether all holds."""
 
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from events import station_name
+from events import CheckpointCountersigned, LossRecorded, station_name
 from store import (
     BadProof,
     ChainBroken,
@@ -28,6 +28,9 @@ from vian.options import opened, settings_for
 from vian.output import Output
 from vian.settings import Settings
 from vian.signatures import VerifiedNote, has_key, key_path, own_station, rotate, signer_for, signing_station
+
+if TYPE_CHECKING:
+    from sync.keeping.witnessing import Witnessed
 
 
 def register(app: typer.Typer) -> None:
@@ -143,21 +146,63 @@ def verify_log(
             trusted=known_keys(path) | keys_of_others(path),
             save=lambda verified: _note(note, verified, output),
         )
-        if found.is_sound:
+        countersigned = _countersigned(log, settings, found)
+        gone = _gone(log, settings)
+        faults = [*found.broken, *(countersigned.broken if countersigned else ())]
+        if not faults:
             _note_read_back(log, found, output)
         enrolled = set() if all(each.is_known for each in found.covered) else _enrolled(log, settings)
-    if not found.is_sound:
-        for broken in found.broken:
+    if faults:
+        for broken in faults:
             output.result(_broken(broken), f"broken: {broken}")
         raise WorldFailed(
-            f"the log does not verify: {len(found.broken)} breaks. "
+            f"the log does not verify: {len(faults)} breaks. "
             "Next: keep this database as it is, and restore the streams named from central or a backup"
         )
     assert found.verified is not None, "a sound log can be gone on from"
     _note(note, found.verified, output)
-    output.result(_sound(found, found.verified, enrolled), _told(found, found.verified, enrolled))
+    _tell_sound(found, found.verified, countersigned, enrolled, output)
     if not found.covered:
         output.note("no signature covers it. Next: vian init, then vian sign, or keep vian serve running")
+    if gone:
+        raise WorldFailed(f"every hash is right, but payloads are gone: {'; '.join(gone[:5])}")
+
+
+def _tell_sound(
+    found: Verification,
+    verified: Verified,
+    countersigned: "Witnessed | None",
+    enrolled: set[str],
+    output: Output,
+) -> None:
+    data, text = _sound(found, verified, enrolled), _told(found, verified, enrolled)
+    if countersigned is not None:
+        from vian.witnesses import told
+
+        data |= {"countersigned": countersigned.signatures, "countersigned_by_unknown": countersigned.unknown}
+        text = "\n".join([text, *told(countersigned)])
+    output.result(data, text)
+
+
+def _countersigned(log: Log, settings: Settings, found: Verification) -> "Witnessed | None":
+    """What countersignatures since the last run are worth; None where the log has no such stream."""
+    if not any(head.stream.type == CheckpointCountersigned.type_name for head in log.streams()):
+        return None
+    from vian.witnesses import countersignatures  # of sync, which a log that central never signed need not wait for
+
+    return countersignatures(log, settings, found.since)
+
+
+def _gone(log: Log, settings: Settings) -> list[str]:
+    """What is gone at both sides of replication, for people."""
+    if not any(head.stream.type == LossRecorded.type_name for head in log.streams()):
+        return []
+    from sync.keeping.gone import gone_in, told_at_central, told_at_station
+
+    own = station_name(settings.station)
+    return [
+        told_at_station(each) if each.stream.station == own else told_at_central(each) for each in gone_in(log, own)
+    ]
 
 
 def _enrolled(log: Log, settings: Settings) -> set[str]:

@@ -7,12 +7,13 @@ from typing import Annotated
 import typer
 
 from events import station_name
+from sync.keeping.gone import gone_in, told_at_station
 from sync.plans.planning import planned_in
 from sync.station.daemon import Daemon
 from sync.station.unreachable import GOES_ON
 from vian import options
 from vian.commands import sync_doctor, sync_plan, sync_repair, sync_status
-from vian.errors import WrongUsage
+from vian.errors import WorldFailed, WrongUsage
 from vian.options import opened, settings_for
 from vian.output import Output
 from vian.parts import Parts
@@ -77,7 +78,9 @@ def sync(
                 afterwards=AGAIN if once else GOES_ON,
             )
         )
+        name = station_name(settings.station)
         if once:
+            before = gone_in(log, name, name)
             daemon.catch_up()
         else:
             output.note(f"station {settings.station} replicates to {peer.address}; Ctrl-C ends it")
@@ -85,8 +88,10 @@ def sync(
                 while parts.wait(1.0):
                     pass
         report(output, daemon)
-        if once and (planned := planned_in(log, station_name(settings.station))) and planned.plan.paused:
+        if once and (planned := planned_in(log, name)) and planned.plan.paused:
             output.note("the plan is paused: nothing was sent. Next: vian sync plan resume")
+        if once and (gone := [each for each in gone_in(log, name, name) if each not in before]):
+            raise WorldFailed("; ".join(map(told_at_station, gone[:5])))
 
 
 def _check_alone(context: typer.Context) -> None:

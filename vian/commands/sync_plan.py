@@ -11,6 +11,7 @@ import typer
 
 from events import Station, StreamName, station_name
 from store import Log
+from sync.plans.awaiting import awaited_by, missing
 from sync.plans.checking import check_filters, unmatched, warnings_of
 from sync.plans.plan import Plan
 from sync.plans.plan_values import rate, time_text
@@ -69,8 +70,11 @@ def set_(
         check_filters(plan.resolved(utc_now()), log.catalogue)
         planned = _set(log, settings, name, plan)
         in_vain = unmatched(plan, [head.stream for head in log.streams()], log.catalogue)
+        gone = [str(each) for each in missing(log, awaited_by(log, name, planned.plan))]
     for warning in warnings_of(plan):
         output.note(f"warning: {warning}")
+    for gap in gone:
+        output.note(f"warning: {gap}")
     for note in in_vain:
         output.note(note)
     if settings.plan is not None and settings.plan.resolve() != file.resolve():

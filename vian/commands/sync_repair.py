@@ -12,7 +12,7 @@ from vian import options
 from vian.errors import WorldFailed, WrongUsage
 from vian.options import opened, settings_for
 from vian.output import Output, counted
-from vian.repairing import SEQUENCE_MAX, bring_back, repair_damages
+from vian.repairing import SEQUENCE_MAX, bring_back, note_lost, repair_damages
 from vian.settings import Settings
 
 
@@ -26,6 +26,10 @@ def repair(
     epoch: Annotated[
         int | None, typer.Option("--epoch", min=0, help="With --stream: which life of it.", show_default="its newest")
     ] = None,
+    is_lost: Annotated[
+        bool,
+        typer.Option("--lost", help="On central: note that what is gone here and at its station is in no backup."),
+    ] = False,
     data_dir: options.DataDir = None,
     dsn: options.Dsn = None,
     station: options.Station = None,
@@ -37,6 +41,9 @@ def repair(
     settings = settings_for(data_dir, dsn, station=station)
     output = Output(is_json=as_json)
     with opened(settings, data_dir=data_dir) as log:
+        if is_lost:
+            _note_lost(log, settings, stream, epoch, first or 1, last or SEQUENCE_MAX, output)
+            return
         attempts = _repaired(log, settings, stream, epoch, first or 1, last or SEQUENCE_MAX)
         # Where the payload alone could not be put back, the whole segment was tried: that is what counts.
         done = sorted({each.damage.position: each for each in attempts}.values(), key=_place)
@@ -48,6 +55,19 @@ def repair(
     output.note(put_back if done else "nothing is damaged or gone there")
     if failed := sum(each.failure is not None for each in done):
         raise WorldFailed(f"{failed} were not put back. Next: vian verify --full names what is still damaged")
+
+
+def _note_lost(
+    log: Log, settings: Settings, stream: str | None, epoch: int | None, first: int, last: int, output: Output
+) -> None:
+    wanted = None if stream is None else StreamName.parse(stream)
+    noted = note_lost(log, settings, wanted, epoch, first, last)
+    output.table(
+        "",
+        ("stream", "epoch", "from", "to"),
+        [(str(each.stream), each.epoch, each.first_sequence, each.last_sequence) for each in noted],
+    )
+    output.note(f"{len(noted)} ranges are noted as lost" if noted else "nothing is gone here and at its station")
 
 
 def _place(each: Repaired) -> tuple[StreamName, int, int]:

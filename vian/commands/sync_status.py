@@ -13,6 +13,7 @@ from rich.text import Text
 from events import station_name
 from store import Log
 from sync.central.registry import Registry
+from sync.keeping.gone import told_at_central
 from vian import options
 from vian.central_view import CentralView, StationRow, central_view, is_central
 from vian.clock import utc_now
@@ -239,7 +240,8 @@ def _central(view: CentralView, wanted: str | None, late_s: float) -> _Shown:
         for each in view.stations
     )
     line = f"central {view.central}: {view.position} segments, {view.invitations} open codes"
-    after = () if rows else ("no station is known. Next: vian station invite NAME",)
+    after = tuple(told_at_central(gone) for each in view.stations for gone in each.gone)
+    after = after if rows else ("no station is known. Next: vian station invite NAME",)
     data = ({"kind": "central", "central": view.central, "position": view.position, "invitations": view.invitations},)
     data += tuple(map(_row_data, view.stations))
     late = tuple(text for each in view.stations for text in _row_late(each, late_s))
@@ -272,18 +274,24 @@ def _one(row: StationRow, late_s: float) -> _Shown:
         _row_data(row),
         *({"kind": "stream"} | {name: getattr(s, name) for name in type(s).__dataclass_fields__} for s in row.streams),
     )
-    return _Shown(tuple(lines), columns, rows, (), data, tuple(_row_late(row, late_s)))
+    after = tuple(map(told_at_central, row.gone))
+    return _Shown(tuple(lines), columns, rows, after, data, tuple(_row_late(row, late_s)))
 
 
 def _row_data(row: StationRow) -> dict[str, Any]:
-    names = [name for name in StationRow.__dataclass_fields__ if name not in ("streams", "refusals")]
+    names = [name for name in StationRow.__dataclass_fields__ if name not in ("streams", "refusals", "gone")]
     totals = {"streams": len(row.streams), "behind": row.behind, "missing": row.missing, "lag_s": row.lag_s}
     return (
-        {"kind": "station"} | {name: getattr(row, name) for name in names} | totals | {"refusals": dict(row.refusals)}
+        {"kind": "station"}
+        | {name: getattr(row, name) for name in names}
+        | totals
+        | {"refusals": dict(row.refusals), "gone": list(map(str, row.gone))}
     )
 
 
 def _row_late(row: StationRow, late_s: float) -> Iterator[str]:
+    if row.gone:
+        yield f"payloads of {row.station} are gone here and there"
     if row.state not in ("enrolled", "has a token"):
         return
     if row.last_contact_age_s is None:

@@ -11,8 +11,11 @@ from store import Log
 from tests.conftest import MakeLog
 from tests.store.replicas import deliver
 from tests.store.tiered import seal_all
+from tests.sync.conftest import CENTRAL_KEY
+from tests.sync.test_witnessing import countersign
 from tests.vian.conftest import Ran, Run
 from tests.vian.samples import GATE, YARD, append, objects, points
+from vian.membership import MEMBERSHIP_NAME, Membership
 
 
 @pytest.fixture
@@ -239,3 +242,21 @@ def test_what_is_not_here_is_told_and_is_no_break(filled: Log, make_log: MakeLog
     assert (said["sound"], said["events"], said["gaps"]) == (True, last - first + 1, [gap])
     (stream,) = objects(run("streams", "--dsn", replica.dsn, "--json").out)
     assert (stream["sequence"], stream["not_here"]) == (last, f"1 to {first - 1}")
+
+
+@pytest.mark.parametrize("is_forged", [False, True])
+def test_verify_checks_what_central_countersigned(
+    filled: Log, at: tuple[str, ...], key_file: Path, run: Run, *, is_forged: bool
+) -> None:
+    run("init", *at)
+    member = Membership(
+        address="https://c.example", station="brno-2", central="central", public_key=CENTRAL_KEY.public.hex()
+    )
+    (key_file.parent / MEMBERSHIP_NAME).write_text(member.model_dump_json())
+    countersign(filled, **({"checkpoint_sequence": 2} if is_forged else {}))
+    ran = run("verify", *at)
+    if is_forged:
+        assert ran.code == 1
+        assert "whose signature it does not bear" in ran.out
+    else:
+        assert "countersigned: 1 signatures of central, and the newest fits this log" in ran.out

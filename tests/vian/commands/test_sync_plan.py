@@ -1,17 +1,21 @@
 """`vian sync plan` at the command line."""
 
 import json
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
 
 from events import station_name
 from store import Log
+from store.payloads import weights
 from sync import Plan
+from sync.keeping.pruning import Proven, take_off_held
 from sync.plans.planning import planned_in
 from tests.vian.conftest import Run
 from tests.vian.samples import append, objects, points
 
+NOW = datetime.now(UTC) + timedelta(days=1)
 PLAN = """\
 entries:
   - {stream: "*/*/situation_detected", from: now, priority: alerts}
@@ -147,3 +151,13 @@ def test_an_entry_that_fits_no_stream_is_told(log: Log, options: tuple[str, ...]
     assert "entries[0] (*/*/plate_rea) fits no stream of this station yet, and no event type" in ran.words
     assert "entries[1] (*/*/plate_read) fits no stream of this station yet. Next" in ran.words
     assert "entries[2]" not in ran.words
+
+
+def test_what_was_pruned_and_a_filter_wants_is_told_when_the_plan_is_set(
+    log: Log, options: tuple[str, ...], run: Run
+) -> None:
+    take_off_held(log, station_name("brno"), weights(log, 0, NOW, 10), Proven("", {}), NOW)
+    said = run("sync", "plan", "set", "plan.yaml", *options).words
+    assert "warning: brno/gate/track_point was pruned from sequence 1 to 20 of epoch 1: brno/gate~" in said
+    assert "Next: vian sync repair --stream brno/gate/track_point --epoch 1 --from 1 --to 20" in said
+    assert "brno/gate/track_point was pruned" in run("sync", "plan", "preview", "plan.yaml", *options).words

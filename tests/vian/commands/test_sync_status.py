@@ -12,7 +12,9 @@ from fastapi.responses import HTMLResponse
 
 from events import station_name
 from store import Log
+from store.payloads import weights
 from sync.central.refusals import Kind, Refusals
+from sync.keeping.pruning import Proven, take_off_held
 from sync.protocol.reports import CHECKPOINT, Status, StreamStatus
 from tests.conftest import MakeLog
 from tests.vian.conftest import Ran, Run
@@ -352,3 +354,33 @@ def test_doctor_names_a_plan_that_fits_nothing(station: Log, run: Run) -> None:
 def test_lengths_and_sizes_are_for_people() -> None:
     assert (span(93784), span(0.2), span(3600)) == ("1 d 2 h", "0 s", "1 h")
     assert (size_text(812), size_text(81_234), size_text(3.5e9)) == ("812 B", "81.2 kB", "3.5 GB")
+
+
+def test_what_is_gone_at_both_sides_is_loud_until_it_is_noted(
+    station: Log, central: Log, enrolled: str, run: Run
+) -> None:
+    now = utc_now() + timedelta(days=1)
+    take_off_held(station, BRNO, weights(station, 0, now, 1), Proven("", {}), now)  # what central held once
+    gone = f"{GATE}, epoch 1, sequences 1 to 20"
+    once = run("sync", "--once", "--dsn", station.dsn, "--station", "brno")
+    assert once.code == 1
+    assert f"payload gone here and at central: {gone}" in said(once)
+    assert run("sync", "--once", "--dsn", station.dsn, "--station", "brno").code == 0, "it says so once"
+    assert f"payload gone here and at central: {gone}" in said(at_station(run, station, "status"))
+    on_central = ("--dsn", central.dsn)
+    shown = run("sync", "status", *on_central)
+    assert f"payload gone here and at its station: {gone}" in said(shown)
+    assert run("sync", "status", "--check", *on_central).code == 1
+    verified = run("verify", "--station", "central", *on_central)
+    assert verified.code == 1
+    assert "every hash is right, but payloads are gone: " in said(verified)
+    asked = run("sync", "repair", "--stream", str(GATE), "--station", "central", *on_central)
+    assert "station brno is asked for it at its next hello" in said(asked)
+    noted = run("sync", "repair", "--lost", "--station", "central", *on_central)
+    assert "1 ranges are noted as lost" in said(noted)
+    assert run("verify", "--station", "central", *on_central).code == 0
+
+
+def said(ran: Ran) -> str:
+    """All that was said, in one line."""
+    return " ".join((ran.out + ran.err).split())

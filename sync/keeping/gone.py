@@ -1,0 +1,183 @@
+"""Payloads that are gone at both sides: a station pruned what central held, and central lost it since.
+
+Contract: that is found when a station sends such segments once more, without payload. Before it does, it records the
+exact ranges as `loss_recorded`, an accident and so without a policy, in its own log; the event reaches central as any
+other does. So both sides know it from their logs, for ever, until the payloads are back: `gone_in` gives only what is
+without payload in the log that is asked. A loss that the own station of that log records of another's stream, says
+that its operator knows.
+"""
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+
+from events import LossRecorded, Segment, Station, StreamName, decode, events_of
+from store import Log
+from store.absence import recorded, without
+from store.payloads import Weight
+from sync.keeping.pruning import Span, record_of, spans_of
+
+REASON = "it was pruned here when central held it, and was sent once more because central lacks it"
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class Gone:
+    """Segments of one stream, each following the one before, without payload at both sides."""
+
+    stream: StreamName
+    epoch: int
+    first_sequence: int
+    last_sequence: int
+
+    def __str__(self) -> str:
+        return f"{self.stream}, epoch {self.epoch}, sequences {self.first_sequence} to {self.last_sequence}"
+
+
+class GoneRecorder:
+    """Records what a station is about to send without payload though it never gave it up."""
+
+    def __init__(self, log: Log, station: Station, now: Callable[[], datetime]) -> None:
+        self._log = log
+        self._station = station
+        self._now = now
+
+    def record(self, segments: Iterable[Segment]) -> list[Gone]:
+        """What of the segments is gone for good, recorded unless it was before.
+
+        Raises:
+            LogUnavailable: The database is away.
+        """
+        # A loss names no epoch, so of an earlier life of the log nothing can be said.
+        hollow = [each for each in segments if not each.has_payload and each.header.epoch == self._log.epoch]
+        if not hollow:
+            return []
+        known = recorded(self._log, {each.stream for each in hollow}, self._station)
+        spans = spans_of(_weight(each) for each in hollow if not known.is_lost(each))
+        if spans:
+            events = [_loss(span, self._now()) for span in spans]
+            self._log.append([record_of(self._station, events)], from_reserve=True)
+        return [Gone(each.stream, each.epoch, each.first_sequence, each.last_sequence) for each in spans]
+
+
+def gone_in(log: Log, own: Station | None, station: Station | None = None) -> list[Gone]:
+    """What is gone at both sides and in this log, by stream; not what its own station recorded as lost of another's.
+
+    Args:
+        log: The log.
+        own: The station whose log it is, if that is known.
+        station: Only of this station.
+
+    Raises:
+        ChainBroken, EventError: A record, or a segment, cannot be read.
+        LogUnavailable: The database is away.
+    """
+    said: dict[tuple[StreamName, int], list[tuple[int, int]]] = {}
+    known: dict[StreamName, list[tuple[int, int]]] = {}
+    for segment in log.read_all(types=[LossRecorded.type_name]):
+        for event in events_of(decode(segment, log.catalogue)):
+            if not isinstance(event, LossRecorded) or event.what != "segments" or event.first_sequence is None:
+                continue
+            stream = StreamName.parse(event.stream)
+            span = event.first_sequence, event.last_sequence or event.first_sequence
+            if segment.stream.station == stream.station and event.policy is None and station in (None, stream.station):
+                said.setdefault((stream, int(segment.header.epoch)), []).append(span)
+            elif segment.stream.station == own:
+                known.setdefault(stream, []).append(span)
+    return [
+        each
+        for (stream, epoch), spans in sorted(said.items())
+        for span in sorted(spans)
+        for first, last in without(span, known.get(stream, []))
+        for each in _hollow(log, Gone(stream, epoch, first, last))
+    ]
+
+
+def _hollow(log: Log, wanted: Gone) -> Iterator[Gone]:
+    """What of a range is without payload in a log."""
+    at: Gone | None = None
+    for segment in log.read(wanted.stream, wanted.first_sequence, epoch=wanted.epoch, with_hollow=True):
+        first, last = int(segment.header.first_sequence), int(segment.header.last_sequence)
+        if first > wanted.last_sequence:
+            break
+        if segment.has_payload:
+            continue
+        if at is not None and at.last_sequence + 1 == first:
+            first = at.first_sequence
+        elif at is not None:
+            yield at
+        at = Gone(wanted.stream, wanted.epoch, first, last)
+    if at is not None:
+        yield at
+
+
+def told_at_station(gone: Gone) -> str:
+    """What an operator of the station is told."""
+    return (
+        f"payload gone here and at central: {gone}; pruned here when central held it, and central lost it since. "
+        "Next: restore central from a newer backup (vian restore there); what is in no backup is gone for good"
+    )
+
+
+def told_at_central(gone: Gone) -> str:
+    """What an operator of central is told."""
+    return (
+        f"payload gone here and at its station: {gone}; the station pruned it when it was held here, and it was lost "
+        "here since, as by vian restore of an older backup. Next: vian restore of a newer backup; else "
+        f"vian sync repair --stream {gone.stream} --epoch {gone.epoch} --from {gone.first_sequence} "
+        f"--to {gone.last_sequence} asks the station again, and with --lost notes that it is gone for good"
+    )
+
+
+def accept(log: Log, own: Station, gone: Sequence[Gone], now: datetime) -> None:
+    """Record in a central's own stream that it is known what of stations is gone.
+
+    Raises:
+        LogUnavailable: The database is away.
+    """
+    events = [
+        LossRecorded(
+            time=now,
+            stream=str(each.stream),
+            what="segments",
+            count=None,
+            first_sequence=each.first_sequence,
+            last_sequence=each.last_sequence,
+            lost_from_at=None,
+            lost_until_at=None,
+            reason="its operator says that it is in no backup",
+            policy="vian sync repair --lost",
+        )
+        for each in gone
+    ]
+    if events:
+        log.append([record_of(own, events)])
+
+
+def _weight(segment: Segment) -> Weight:
+    header = segment.header
+    return Weight(
+        segment.position,
+        header.stream,
+        header.epoch,
+        header.first_sequence,
+        header.last_sequence,
+        header.time_min,
+        header.time_max,
+        segment.recorded_at,
+        0,
+    )
+
+
+def _loss(span: Span, now: datetime) -> LossRecorded:
+    return LossRecorded(
+        time=now,
+        stream=str(span.stream),
+        what="segments",
+        count=span.segments,
+        first_sequence=span.first_sequence,
+        last_sequence=span.last_sequence,
+        lost_from_at=span.time_min,
+        lost_until_at=span.time_max,
+        reason=REASON,
+        policy=None,
+    )
