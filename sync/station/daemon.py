@@ -15,12 +15,21 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
-from itertools import pairwise
+from itertools import islice, pairwise
 from time import monotonic as steady
 
 from events import Station
 from store import Log, LogUnavailable, SequenceConflict
-from sync.errors import BadAnswer, CentralError, PlanError, Refusal, Refused, SegmentRefused, StreamStopped
+from sync.errors import (
+    BadAnswer,
+    CentralError,
+    HeadsDisagree,
+    PlanError,
+    Refusal,
+    Refused,
+    SegmentRefused,
+    StreamStopped,
+)
 from sync.keeping.countersigning import Countersigning
 from sync.keeping.repair import records_for
 from sync.plans.plan import Entry, Plan
@@ -39,6 +48,8 @@ from sync.station.reporting import Reporter
 from sync.station.scheduling import Share, Work, chosen, in_order
 from sync.station.standing import Standing
 
+_NOTES_MAX = 3
+"""Most streams that stay here of which the status says why."""
 _LANDING_S = 0.02
 """Longest wait for a request to be answered before the log is looked at again."""
 
@@ -180,7 +191,7 @@ class Daemon:
             protocol=self._central.protocol,
             rate_bps=self._meter.bps or (before.rate_bps if before else None),
             countersigned=self._countersigning.sequence,
-            notes=self._chores.notes,
+            notes=(*self._chores.notes, *map(str, islice(self._standing.apart.values(), _NOTES_MAX))),
         )
 
     def _stream_status(self, key: StreamKey, before: StreamStatus | None) -> StreamStatus:
@@ -201,6 +212,7 @@ class Daemon:
             None if stopped is None else str(stopped),
             sent.until if sent else (before.held_until if before else None),
             sent.size / sent.events if sent else (before.bytes_per_event if before else None),
+            key in self._standing.apart or (held is None and before is not None and before.is_apart),
         )
 
     def _stop_reason(self) -> str | None:
@@ -458,6 +470,9 @@ class Daemon:
             self._standing.doubt()
             self._outbox.forget()
             return Step("doubted", self._pace.backoff_s)
+        if isinstance(error, HeadsDisagree) and error.is_past:
+            self._standing.apart[key] = error
+            return Step("stopped")
         self._standing.stopped[key] = error
         return Step("stopped", error=error)
 

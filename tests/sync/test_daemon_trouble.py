@@ -24,8 +24,10 @@ from sync import (
     SessionOver,
     Step,
 )
+from sync.runs import end_of
 from sync.station.client import Central
 from sync.station.client_v1 import CentralV1
+from sync.station.outbox import check_history
 from tests.sync.conftest import (
     BRNO,
     EVERYTHING,
@@ -234,7 +236,7 @@ def test_a_station_with_another_history_is_stopped_with_both_hashes(
 
     assert step.did == "stopped"
     assert isinstance(step.error, HeadsDisagree)
-    for part in ("brno-2/gate/track_point", "sequence 3", "Next: vian verify"):
+    for part in ("brno-2/gate/track_point", "sequence 3", "then vian station new-epoch"):
         assert part in str(step.error)
     assert re_imaged.stream_head(stream_of()).chain_hash.hex() in str(step.error)
     assert station_log.stream_head(stream_of()).chain_hash.hex() in str(step.error)
@@ -247,7 +249,12 @@ def test_a_station_with_another_history_is_stopped_with_both_hashes(
     [([2], "no segment ends there"), ([2, 2], "no segment ends there"), ([1, 2, 1], "the chain hash here is")],
 )
 def test_another_history_is_found_wherever_central_stands(
-    counts: list[int], here: str, station_log: Log, make_log: type[Log], make_daemon: MakeDaemon
+    counts: list[int],
+    here: str,
+    station_log: Log,
+    central_log: Log,
+    make_log: type[Log],
+    make_daemon: MakeDaemon,
 ) -> None:
     append_points(station_log, stream_of(), [3])
     make_daemon().catch_up()
@@ -257,6 +264,10 @@ def test_another_history_is_found_wherever_central_stands(
     with pytest.raises(HeadsDisagree, match=here) as raised:
         make_daemon(log=re_imaged).catch_up()
     assert raised.value.sequence == 3
+    there = end_of(central_log.runs(stream_of(), epoch=1))
+    with pytest.raises(HeadsDisagree, match=here):
+        check_history(re_imaged, re_imaged.stream_head(stream_of()), there)
+    check_history(station_log, station_log.stream_head(stream_of()), there)
 
 
 @pytest.mark.parametrize(
