@@ -1,8 +1,9 @@
 """A hundred stations against one central, beside one station with as much to send.
 
 Contract: the stations' daemons are tasks of a few processes, each with connections and a right of its own; those of a
-process share a log. All have said hello before the clock starts, and begin at once, with as many segments of as many
-cameras each. Central is `vian serve` with a log of its own.
+process share a log. Before the clock starts each has sent a little, so that its connections are open and it has learnt how
+much goes into a request; then all begin at once, with as many segments of as many cameras each. Central is `vian
+serve` with a log of its own.
 """
 
 import statistics
@@ -21,11 +22,14 @@ from benchmarks.measuring import Figure, Row
 from benchmarks.sync_drain import SEGMENT_EVENTS, backlog, tuned_log, wait_until
 from benchmarks.sync_servers import Cost, Program, central_server, enrol, postgres_memory_bytes
 from store import Log
+from store.projector import NAME as PROJECTOR
 
 STATIONS = 100
 _PROCESSES = 4
 _CAMERAS = 5
 """of each station"""
+_WARMING_SEGMENTS = 40
+"""that each station sends before"""
 _MB = 2**20
 _LOOK_SECONDS = 0.5
 
@@ -86,11 +90,11 @@ _COSTS: dict[str, Callable[[_Run], float]] = {
 def _run(link: Link, folder: Path, ends: tuple[Log, Program], groups: Groups, number: int, segments: int) -> _Run:
     """One round: so many segments of each station, all begun at once."""
     central, server = ends
-    for log, names in groups:
-        for name in names:
-            log.append(backlog(number, segments, name, cameras=_CAMERAS))
+    _fill(groups, 2 * number, _WARMING_SEGMENTS)
     stations = sum(len(names) for _, names in groups)
     with _ready(link, folder, groups) as (begin, cpu_s):
+        _fill(groups, 2 * number + 1, segments)
+        wait_until(lambda: central.checkpoint(PROJECTOR).position >= central.head())  # rows of what came before
         first, memory = central.head() + 1, _Memory(server, folder / "central" / "pg")
         before, stations_before, began = server.cost(), cpu_s(), time.perf_counter()
         begin()
@@ -100,6 +104,13 @@ def _run(link: Link, folder: Path, ends: tuple[Log, Program], groups: Groups, nu
     events = stations * segments * SEGMENT_EVENTS
     fairness = min(times) / max(times)
     return _Run(events / seconds, fairness, memory.program, memory.postgres, cost, stations_s)
+
+
+def _fill(groups: Groups, number: int, segments: int) -> None:
+    """Let so many segments wait at each station."""
+    for log, names in groups:
+        for name in names:
+            log.append(backlog(number, segments, name, cameras=_CAMERAS))
 
 
 class _Memory:

@@ -110,7 +110,15 @@ def postgres_cpu_s(pgdata: Path) -> float:
 def postgres_memory_bytes(pgdata: Path) -> int:
     """Memory of all processes of a PostgreSQL; what they share is counted once."""
     postmaster = _postmaster(pgdata)
-    return sum(int(each.memory_full_info().pss) for each in (postmaster, *postmaster.children()))
+    return sum(map(_pss_bytes, (postmaster, *postmaster.children())))
+
+
+def _pss_bytes(process: psutil.Process) -> int:
+    """Memory of a process, its share of what is shared; 0 of one that has just ended."""
+    try:
+        return int(process.memory_full_info().pss)
+    except psutil.NoSuchProcess:
+        return 0
 
 
 def _postmaster(pgdata: Path) -> psutil.Process:

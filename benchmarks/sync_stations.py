@@ -1,7 +1,7 @@
 """Many stations' daemons as tasks of one process: python -m benchmarks.sync_stations FOLDER LOG NAME ...
 
-Contract: it says a line when all have said hello, and begins to send when it is told a line. It ends when central has
-everything of each.
+Contract: it sends what waits, says a line when central has that of each, and sends what waits then when it is told a
+line. It ends when central has everything of each.
 """
 
 import sys
@@ -29,7 +29,7 @@ def main(folder: Path, log_name: str, names: list[str]) -> None:
             for name in names
         ]
         pool = stack.enter_context(ThreadPoolExecutor(len(daemons)))
-        list(pool.map(_greet, daemons))
+        list(pool.map(_drain, daemons))
         sys.stdout.write("ready\n")
         sys.stdout.flush()
         sys.stdin.readline()
@@ -42,11 +42,6 @@ def _drain(daemon: Any) -> None:
         if step.error is not None:
             print(step.error, file=sys.stderr)
             time.sleep(step.sleep_s)
-
-
-def _greet(daemon: Any) -> None:
-    while daemon.step().did != "hello":
-        pass
 
 
 if __name__ == "__main__":

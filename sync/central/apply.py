@@ -1,6 +1,6 @@
 """What central does with a hello and with segments, apart from HTTP.
 
-Contract: `apply_2` is one transaction: all segments of a body are durable when it returns, or none is
+Contract: `store_2` is one transaction: all segments of a body are durable when it returns, or none is
 stored. A segment that is there already is acknowledged and not stored again, so a body may be sent
 any number of times. Nothing a station says of itself is believed: whose stream it is, the payload's
 hash, the chain, and for known types the number of events and their times are checked before.
@@ -95,17 +95,8 @@ def answer_hello_2(
     )
 
 
-def apply_2(
-    log: Log,
-    caller: Speaker,
-    body: bytes,
-    *,
-    body_bytes_max: int,
-    segments_max: int,
-    still_allowed: Callable[[Transaction], None] = lambda _: None,
-    in_turn: Callable[[], None] = lambda: None,
-) -> SegmentsAnswer:
-    """Store the segments of the body, and say what is held of their streams then.
+def checked_2(log: Log, caller: Speaker, body: bytes, *, body_bytes_max: int, segments_max: int) -> list[Record]:
+    """The records of the body: segments of the caller's own, each of which is what it says.
 
     Args:
         log: Central's log.
@@ -113,18 +104,30 @@ def apply_2(
         body: Records.
         body_bytes_max: Most bytes of it.
         segments_max: Most records in it.
-        still_allowed: Called when all is checked, in the transaction that stores it; raises if the caller may no
-            longer write.
-        in_turn: Called when all is checked, before the transaction; returns when it is this request's turn.
 
     Raises:
-        Refusal: Something is wrong with them; nothing was stored.
-        LogUnavailable: The database is away; if it went away during the commit, the segments may have
-            been stored.
+        Refusal: Something is wrong with them.
     """
     records = _records(body, body_bytes_max, segments_max)
     check(log, caller.station, records, may_lack_payload=True)
-    in_turn()
+    return records
+
+
+def store_2(
+    log: Log, records: Sequence[Record], still_allowed: Callable[[Transaction], None] = lambda _: None
+) -> SegmentsAnswer:
+    """Store records that were checked, and say what is held of their streams then.
+
+    Args:
+        log: Central's log.
+        records: As `checked_2` gives them.
+        still_allowed: Called in the transaction that stores them; raises if the caller may no longer write.
+
+    Raises:
+        Refusal: One does not go on from what is held, or the caller may not write; nothing was stored.
+        LogUnavailable: The database is away; if it went away during the commit, the segments may have
+            been stored.
+    """
     appended = store_records(log, records, still_allowed)
     duplicates = sum(one.was_there for one in appended)
     held = runs_of(log, _keys(records))

@@ -6,6 +6,7 @@ coming. What was signed of it is compared with what came, before anybody looks i
 
 import asyncio
 import hashlib
+from collections.abc import Callable
 from dataclasses import dataclass
 from time import monotonic
 
@@ -14,6 +15,9 @@ from starlette.requests import ClientDisconnect
 
 from sync.errors import Refusal
 from sync.protocol.signing import digest_field
+
+_HASHED_AT_ONCE = 64 * 1024
+"""Bytes whose hash takes less than to have another thread make it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,8 +31,13 @@ class BodyLimits:
     """least average speed, counted from `idle_s_max` on"""
 
 
-async def read_body(request: Request, limits: BodyLimits) -> bytes:
+async def read_body(request: Request, limits: BodyLimits, waited: Callable[[float], None] = lambda _: None) -> bytes:
     """The request's body, read piece by piece up to the limit.
+
+    Args:
+        request: The request.
+        limits: What its body may cost.
+        waited: Told the seconds that the body took to come.
 
     Raises:
         Refusal: It is too large, came too slowly, or broke off.
@@ -59,17 +68,20 @@ async def read_body(request: Request, limits: BodyLimits) -> bytes:
             "the whole body",
             "send it again",
         ) from error
+    waited(monotonic() - began)
     return b"".join(parts)
 
 
-async def read_signed(request: Request, limits: BodyLimits, digest: str) -> bytes:
+async def read_signed(
+    request: Request, limits: BodyLimits, digest: str, waited: Callable[[float], None] = lambda _: None
+) -> bytes:
     """The request's body, which has the digest that was signed.
 
     Raises:
         Refusal: It is another body, or as `read_body`.
     """
-    body = await read_body(request, limits)
-    found = digest_field(await asyncio.to_thread(_sha256, body))
+    body = await read_body(request, limits, waited)
+    found = digest_field(_sha256(body) if len(body) <= _HASHED_AT_ONCE else await asyncio.to_thread(_sha256, body))
     if found != digest:
         raise Refusal(
             400,
@@ -82,8 +94,8 @@ async def read_signed(request: Request, limits: BodyLimits, digest: str) -> byte
     return body
 
 
-def check_declared(request: Request, limits: BodyLimits) -> None:
-    """Nothing, if the request says how long its body is, and that is not too long.
+def check_declared(request: Request, limits: BodyLimits) -> int:
+    """How long the request says that its body is, which is not too long.
 
     Raises:
         Refusal: It says nothing, or too much.
@@ -100,6 +112,7 @@ def check_declared(request: Request, limits: BodyLimits) -> None:
         )
     if int(declared) > limits.bytes_max:
         raise _too_large(f"{declared} bytes", limits.bytes_max)
+    return int(declared)
 
 
 def _sha256(body: bytes) -> bytes:

@@ -20,13 +20,15 @@ from fastapi import APIRouter, Depends, Header, Request, Response
 from events import Station
 from store import Log
 from sync.central.access import REPLICATE, Access, Asked, Caller
-from sync.central.apply import answer_hello_2, apply_2, read_hello
+from sync.central.apply import answer_hello_2, checked_2, read_hello, store_2
 from sync.central.apply_v1 import answer_hello, apply, cursor_of
 from sync.central.bodies import BodyLimits, check_declared, read_body, read_signed
 from sync.central.contacts import Contacts
 from sync.central.places import Places
 from sync.central.problems import RESPONSES, Note, claim, cursors_2, problem_route
+from sync.central.room import Room
 from sync.central.turns import NAME_LENGTH_MAX, Turns
+from sync.central.workers import Workers
 from sync.errors import Refusal
 from sync.keeping.countersigning import countersign
 from sync.keeping.repair import RANGE_BYTES_MAX, records_for, repair_with
@@ -47,6 +49,7 @@ from sync.protocol.wire import (
     ChallengeRequest,
     Countersigned,
     Range,
+    Record,
     RepairAnswer,
 )
 from sync.protocol.wire import HelloAnswer as HelloAnswer2
@@ -78,6 +81,8 @@ class Limits:
     """Most that each station may send, which it keeps to by itself; None: no limit."""
     requests_max: int = 8
     """Requests of one station whose bodies are held at once."""
+    bodies_bytes_max: int = 64 * 1024 * 1024
+    """Bytes of the bodies of all stations that are held at once."""
 
     def body(self, bytes_max: int) -> BodyLimits:
         """The limits of a body of so many bytes."""
@@ -91,6 +96,12 @@ class Call:
     caller: Caller
     body: bytes
     asked: Asked
+    began: float
+    """by central's steady clock, later by what the body took to come"""
+
+    def took_s(self) -> float:
+        """What central took for it until now, in seconds."""
+        return monotonic() - self.began
 
 
 class Answers(Protocol):
@@ -150,7 +161,9 @@ class Door:
 
     def __init__(self, access: Access, limits: Limits) -> None:
         self.access = access
+        self.workers = Workers()
         self._limits = limits
+        self._room = Room(limits.bodies_bytes_max)
         self._places = Places(
             "too_many_requests",
             "the station has too many requests under way",  # an enrolled one must not fill central's memory
@@ -183,15 +196,16 @@ class Door:
     def _call(self, asked: Callable[[Request], Asked], bytes_max: int) -> Opened:
         limits = self._limits.body(bytes_max)
 
-        async def declared(request: Request) -> None:
+        async def call(request: Request) -> AsyncIterator[Call]:
+            began, waits = monotonic(), list[float]()
             claim(request, request.headers.get(STATION_HEADER))
-            check_declared(request, limits)
-
-        async def call(
-            request: Request, _: Annotated[None, Depends(declared)], one: Annotated[Asked, Depends(asked)]
-        ) -> AsyncIterator[Call]:
-            with self._places.taken(one.caller.station):
-                yield Call(one.caller, await read_signed(request, limits, one.digest), one)
+            size = check_declared(request, limits)
+            one = await self.workers.do(lambda: asked(request))
+            station = one.caller.station
+            with self._places.taken(station):
+                async with self._room.taken(station, size):
+                    body = await read_signed(request, limits, one.digest, waits.append)
+                    yield Call(one.caller, body, one, began + sum(waits))
 
         return call
 
@@ -253,23 +267,26 @@ def _version_2(
         return answer
 
     @api.post("/segments", summary="A station sends segments; 200 means that they are durable")
-    def segments(
+    async def segments(
         call: Annotated[Call, Depends(door.opens("segments", REPLICATE, most.body_bytes_max))],
         order: Annotated[str, Header(alias=ORDER_HEADER, max_length=NAME_LENGTH_MAX)] = "",
         follows: Annotated[str, Header(alias=FOLLOWS_HEADER, max_length=NAME_LENGTH_MAX)] = "",
     ) -> SegmentsAnswer2:
-        with turns.named(call.caller.station, order), while_storing():
-            answer = apply_2(
-                log,
-                call.caller,
-                call.body,
-                body_bytes_max=most.body_bytes_max,
-                segments_max=most.segments_max,
-                still_allowed=lambda transaction: door.access.check_again(transaction, call.caller),
-                in_turn=lambda: turns.wait_for(call.caller.station, follows),
-            )
-        contacts.heard(call.caller.station, now())
-        return answer
+        caller, size = call.caller, len(call.body)
+
+        def checked() -> list[Record]:
+            return checked_2(log, caller, call.body, body_bytes_max=most.body_bytes_max, segments_max=most.segments_max)
+
+        def stored() -> SegmentsAnswer2:
+            answer = store_2(log, records, lambda transaction: door.access.check_again(transaction, caller))
+            contacts.heard(caller.station, now())
+            return answer
+
+        with turns.named(caller.station, order), while_storing():
+            records = await door.workers.do(checked, size)
+            await turns.wait_for(caller.station, follows)
+            answer = await door.workers.do(stored, size)
+        return answer.model_copy(update={"took_s": call.took_s()})
 
     @api.post("/countersign", summary="Central signs that it holds what a station's checkpoint says")
     def countersigned(

@@ -364,6 +364,8 @@ class SegmentsAnswer(Message):
     cursors: Annotated[tuple[Cursor, ...], Field(max_length=CURSORS_MAX)]
     stored: Annotated[int, Field(ge=0)]
     duplicates: Annotated[int, Field(ge=0)]
+    took_s: Annotated[float, Field(ge=0.0, allow_inf_nan=False)] = 0.0
+    """seconds that central itself took, by its steady clock: all but the body's way"""
 
 
 class CountersignRequest(Message):

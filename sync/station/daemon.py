@@ -52,8 +52,6 @@ _NOTES_MAX = 3
 """Most streams that stay here of which the status says why."""
 _OVERTAKEN_MAX = 20
 """Live requests that go ahead of a signature or a repair: while live work never ends, it has its turn then."""
-_LANDING_S = 0.02
-"""Longest wait for a request to be answered before the log is looked at again."""
 
 
 class Daemon:
@@ -244,12 +242,12 @@ class Daemon:
         if (landed := self._flights.landed()) is not None:
             return self._land(landed)
         if self._standing.runs is None and len(self._flights):
-            self._wait_for_landing()  # of what was under way when something failed: its answer is told, not believed
+            self._flights.wait()  # of what was under way when something failed: its answer is told, not believed
             return Step("sending")
         self._standing.check()
         is_held_up = self._plan.paused or self._is_hello_due()
         if is_held_up and len(self._flights):
-            self._wait_for_landing()
+            self._flights.wait()
             return Step("sending")
         if is_held_up:
             return self._rest("paused") if self._plan.paused else self._hello()
@@ -352,7 +350,7 @@ class Daemon:
         if first:
             return self._launch(first, at)
         if len(self._flights):
-            self._wait_for_landing()
+            self._flights.wait()
             return Step("sending")
         return self._rest("caught_up" if not works else "sending", min(waits.values(), default=None))
 
@@ -381,7 +379,7 @@ class Daemon:
     def _do_errand(self, errand: Callable[[], Step]) -> Step:
         """Do it once nothing is under way; no backlog is launched meanwhile, or it would never be so."""
         if len(self._flights):
-            self._wait_for_landing()
+            self._flights.wait()
             return Step("sending")
         self._overtaken = 0
         return errand()
@@ -432,9 +430,6 @@ class Daemon:
         wanted = self._sizer.size if capped is None else min(self._sizer.size, capped)
         return Capacity(min(wanted, self._terms.body_bytes_max), self._terms.body_bytes_max, self._terms.segments_max)
 
-    def _wait_for_landing(self) -> None:
-        self._flights.wait(_LANDING_S)
-
     def _land(self, landed: Landed) -> Step:
         """Take in what became of a request."""
         if self._standing.runs is None:
@@ -459,7 +454,7 @@ class Daemon:
 
     def _count(self, landed: Landed) -> None:
         parcel = landed.parcel
-        self._sizer.took(parcel.size, landed.seconds)
+        self._sizer.took(parcel.size, landed.way_s)
         self._meter.took(parcel.size * (1 + len(self._flights)), landed.seconds)
         for each in parcel.filled:
             self._doubts.pop(each.key, None)

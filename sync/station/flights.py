@@ -16,6 +16,10 @@ from sync.station.outbox import Filled, Parcel
 _LIVE_SLOTS = 1
 _FAST_SECONDS = 0.1
 """Requests that are answered within this need not be kept apart."""
+_LOOK_SECONDS = (0.02, 0.2)
+"""Least and longest wait for an answer before the log is looked at again."""
+_LOOK_SHARE = 0.25
+"""That wait, of the time since the last launch: a request that takes long is no reason to look often."""
 
 
 BACKLOG = float("inf")
@@ -38,6 +42,12 @@ class Landed:
     parcel: Parcel
     seconds: float
     answer: SegmentsAnswer | BaseException
+
+    @property
+    def way_s(self) -> float:
+        """What the way there and back took: all but what central says that it took itself."""
+        own_s = self.answer.took_s if isinstance(self.answer, SegmentsAnswer) else 0.0
+        return max(0.0, self.seconds - own_s)
 
 
 class Flights:
@@ -99,9 +109,11 @@ class Flights:
             future.set_result(self._fly(parcel, name, follows))
         self._under_way[future] = _Flight(name, parcel, live_lane)
 
-    def wait(self, seconds: float) -> None:
-        """Return when one has landed, or the time is up."""
-        wait(self._under_way, seconds, FIRST_COMPLETED)
+    def wait(self) -> None:
+        """Return when one has landed, or when it is time to look at the log again."""
+        least, longest = _LOOK_SECONDS
+        since_s = self._monotonic() - self._launched_at
+        wait(self._under_way, min(max(least, _LOOK_SHARE * since_s), longest), FIRST_COMPLETED)
 
     def landed(self) -> Landed | None:
         """One that has landed, the first launched first; None if none has."""

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from sync.plans.plan import Entry, Plan
 
-_GROWTH_MAX = 2.0
+_GROWTH_MAX = 4.0
 _SHRINK_MAX = 0.25
 _SMOOTHING = 0.3
 _BORROW_S = 10.0

@@ -1,5 +1,6 @@
 """A peer that hangs, or gives a byte now and then, ends by the deadline; turns are kept at central."""
 
+import asyncio
 import socket
 import threading
 from collections.abc import Callable, Iterator
@@ -106,24 +107,25 @@ def test_a_body_that_nobody_takes_ends_by_the_deadline() -> None:
 
 def test_a_request_waits_for_the_one_that_it_follows_and_not_for_ever() -> None:
     turns, order = Turns(wait_s=PATIENCE_S), list[str]()
-    begun = threading.Event()
 
-    def second() -> None:
-        begun.set()
-        turns.wait_for(BRNO, "a-1")
+    async def second() -> None:
+        await turns.wait_for(BRNO, "a-1")
         order.append("second")
 
-    thread = threading.Thread(target=second)
-    with turns.named(BRNO, "a-1"):
-        thread.start()
-        assert begun.wait(PATIENCE_S)
-        order.append("first")
-    thread.join(PATIENCE_S)
+    async def both() -> None:
+        with turns.named(BRNO, "a-1"):
+            waiting = asyncio.create_task(second())
+            await asyncio.sleep(0)
+            order.append("first")
+        await waiting
+        impatient = Turns(wait_s=0.001)
+        await impatient.wait_for(BRNO, "never-sent")
+        await turns.wait_for(BRNO, "")
+        await turns.wait_for(BRNO, "a-1")  # long through
+        assert not impatient._noted
 
+    asyncio.run(both())
     assert order == ["first", "second"]
-    Turns(wait_s=0.001).wait_for(BRNO, "never-sent")
-    turns.wait_for(BRNO, "")
-    turns.wait_for(BRNO, "a-1")  # long through
 
 
 def test_a_request_that_fails_is_through_as_well() -> None:
@@ -131,7 +133,7 @@ def test_a_request_that_fails_is_through_as_well() -> None:
     with suppress(ValueError), turns.named(BRNO, "a-1"):
         raise ValueError
 
-    turns.wait_for(BRNO, "a-1")
+    asyncio.run(turns.wait_for(BRNO, "a-1"))
 
 
 def test_few_names_of_few_stations_are_remembered(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,6 +1,6 @@
 """A station that lies harms nobody but itself: what central takes of it, central can go on with."""
 
-from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
+import asyncio
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
@@ -9,7 +9,7 @@ import pytest
 
 from events import GENESIS, Header, Position, Segment, Sequence, Station, chain
 from store import Log, verify
-from sync.central.apply import apply_2
+from sync.central.apply import checked_2, store_2
 from sync.central.turns import WAITING_MAX, Turns
 from sync.errors import Refusal
 from sync.protocol.wire import Record, encode_records
@@ -34,7 +34,8 @@ def hollow(first: int, count: int, previous: bytes = GENESIS, *, begins_run: boo
 
 
 def send(log: Log, *records: Record) -> None:
-    apply_2(log, Speaker(), encode_records(records), body_bytes_max=10**6, segments_max=100)
+    body = encode_records(records)
+    store_2(log, checked_2(log, Speaker(), body, body_bytes_max=10**6, segments_max=100))
 
 
 @pytest.mark.parametrize(("first", "count"), [(0, 1), (MAX, 1), (MAX - 2, 3)])
@@ -54,12 +55,17 @@ def test_the_last_sequences_of_all_stop_nobody(central_log: Log, tmp_path: Path)
     assert verify(central_log, station="oslo-1").is_sound
 
 
-def test_requests_that_follow_none_keep_no_more_than_a_few_threads() -> None:
+def test_requests_that_follow_none_keep_no_more_than_a_few_bodies() -> None:
     turns = Turns(60.0)
-    with ThreadPoolExecutor(WAITING_MAX + 1) as threads:
-        waiting = {threads.submit(turns.wait_for, BRNO, "never") for _ in range(WAITING_MAX + 1)}
-        let_on, still = wait(waiting, 30, FIRST_COMPLETED)
+
+    async def many() -> None:
+        waiting = [asyncio.create_task(turns.wait_for(BRNO, "never")) for _ in range(WAITING_MAX + 1)]
+        let_on, still = await asyncio.wait(waiting, timeout=30, return_when=asyncio.FIRST_COMPLETED)
         assert (len(let_on), len(still)) == (1, WAITING_MAX)
         with turns.named(BRNO, "never"):
             pass
-    turns.wait_for(BRNO, "never")
+        await asyncio.wait_for(asyncio.gather(*still), 30)
+        await turns.wait_for(BRNO, "never")
+        assert not turns._noted
+
+    asyncio.run(many())

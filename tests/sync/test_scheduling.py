@@ -155,14 +155,14 @@ def test_a_request_comes_to_take_the_latency_aimed_at_whatever_the_link(bytes_pe
 
 
 def test_a_small_request_says_nothing_of_large_ones_and_sizes_are_bounded() -> None:
-    sizer = Sizer(0.3, 1000, 4000)
+    sizer = Sizer(0.3, 1000, 8000)
     sizer.took(1000, 0.001)
-    assert sizer.size == 2000
+    assert sizer.size == 4000
     sizer.took(100, 5.0)
-    assert sizer.size == 2000
+    assert sizer.size == 4000
     for _ in range(9):
         sizer.took(sizer.size, 0.001)
-    assert sizer.size == 4000
+    assert sizer.size == 8000
     for _ in range(9):
         sizer.took(sizer.size, 60.0)
     assert sizer.size == 1000

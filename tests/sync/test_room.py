@@ -1,0 +1,72 @@
+"""Room for bodies at central: who waits, who does not, and that nothing is kept of what has gone."""
+
+import asyncio
+from contextlib import AsyncExitStack
+
+from events import station_name
+from sync.central.room import Room
+
+A, B, C = map(station_name, ("a", "b", "c"))
+
+
+async def _settled(*tasks: asyncio.Task[None]) -> list[bool]:
+    for _ in range(5):
+        await asyncio.sleep(0)
+    return [task.done() for task in tasks]
+
+
+def test_who_comes_when_it_is_full_waits_and_is_served_in_order() -> None:
+    async def scene() -> None:
+        room = Room(100)
+        async with AsyncExitStack() as held:
+            await held.enter_async_context(room.taken(A, 60))
+            large = asyncio.create_task(room._take(B, 80))
+            small = asyncio.create_task(room._take(C, 10))
+            assert await _settled(large, small) == [False, False]
+        assert await _settled(large, small) == [True, True]
+        room._give_back(B, 80)
+        room._give_back(C, 10)
+        assert not room._taken
+        assert not room._waiting
+
+    asyncio.run(scene())
+
+
+def test_a_station_has_a_quarter_or_one_body_and_does_not_hold_up_the_others() -> None:
+    async def scene() -> None:
+        room = Room(100)
+        await room._take(A, 60)
+        more = asyncio.create_task(room._take(A, 1))
+        other = asyncio.create_task(room._take(B, 10))
+        assert await _settled(more, other) == [False, True]
+        room._give_back(A, 60)
+        assert await _settled(more) == [True]
+
+    asyncio.run(scene())
+
+
+def test_a_body_larger_than_all_goes_alone() -> None:
+    async def scene() -> None:
+        room = Room(100)
+        async with room.taken(A, 500):
+            waiting = asyncio.create_task(room._take(B, 1))
+            assert await _settled(waiting) == [False]
+        assert await _settled(waiting) == [True]
+
+    asyncio.run(scene())
+
+
+def test_who_gives_up_waiting_leaves_nothing() -> None:
+    async def scene() -> None:
+        room = Room(100)
+        async with room.taken(A, 100):
+            gone = asyncio.create_task(room._take(B, 50))
+            behind = asyncio.create_task(room._take(C, 50))
+            await _settled(gone)
+            gone.cancel()
+            await _settled(gone)
+        assert await _settled(gone, behind) == [True, True]
+        room._give_back(C, 50)
+        assert not room._taken
+
+    asyncio.run(scene())
