@@ -110,6 +110,7 @@ def test_a_replaced_machine_begins_a_new_epoch_when_it_is_enrolled(
     ran = central.enrol(first)
     assert "epoch" not in ran.out
     first.append(20)
+    assert first.vian("sign").code == 0
     assert first.sync().code == 0
     for epoch, machine in ((2, second), (3, third)):
         ran = central.enrol(machine)
@@ -118,10 +119,13 @@ def test_a_replaced_machine_begins_a_new_epoch_when_it_is_enrolled(
             True,
         )
         machine.append(5, x=float(epoch))
+        assert machine.vian("sign").code == 0
         assert machine.sync().code == 0
         assert machine.doctor()["epoch"] == "ok"
     assert central.held() == [(1, 20), (2, 5), (3, 5)]
-    assert verify(central.log).is_sound
+    assert verify(central.log, station="central").is_sound
+    unknown = verify(central.log, station="oslo")  # whose log enrolled nobody
+    assert "did not name as its successor" in str(unknown.broken[0])
     assert "(wrong_key)" in second.sync().words
 
 
