@@ -81,7 +81,7 @@ class Limits:
     """Most that each station may send, which it keeps to by itself; None: no limit."""
     requests_max: int = 8
     """Requests of one station whose bodies are held at once."""
-    bodies_bytes_max: int = 64 * 1024 * 1024
+    bodies_bytes_max: int = 16 * 1024 * 1024
     """Bytes of the bodies of all stations that are held at once."""
 
     def body(self, bytes_max: int) -> BodyLimits:
@@ -236,7 +236,7 @@ def _version_2(
         return address
 
     @api.post("/challenge", summary="What the next hello must be signed over")
-    def challenge(body: Annotated[bytes, Depends(small_body)]) -> Challenge:
+    async def challenge(body: Annotated[bytes, Depends(small_body)]) -> Challenge:
         return door.access.challenge(parse_message(ChallengeRequest, body).station)
 
     @api.post("/enrol", summary="A station is taken in by its one-time code")
@@ -248,23 +248,27 @@ def _version_2(
         return door.access.enrol(request.headers, body, address)
 
     @api.post("/hello", summary="A station says where it stands, and learns what central holds")
-    def hello(call: Annotated[Call, Depends(door.hello())]) -> HelloAnswer2:
+    async def hello(call: Annotated[Call, Depends(door.hello())]) -> HelloAnswer2:
         token = call.asked.token
         assert token is not None, "a hello begins a session"
-        said = read_hello(call.body)
-        answer = answer_hello_2(
-            log,
-            call.caller,
-            said,
-            body_bytes_max=most.body_bytes_max,
-            segments_max=most.segments_max,
-            now=now,
-            token=token.text,
-            token_expires_s=token.expires_s,
-            bits_per_s_max=most.bits_per_s_max,
-        )
-        contacts.greeted(said, answer.protocol, answer.time)
-        return answer
+
+        def answered() -> HelloAnswer2:
+            said = read_hello(call.body)
+            answer = answer_hello_2(
+                log,
+                call.caller,
+                said,
+                body_bytes_max=most.body_bytes_max,
+                segments_max=most.segments_max,
+                now=now,
+                token=token.text,
+                token_expires_s=token.expires_s,
+                bits_per_s_max=most.bits_per_s_max,
+            )
+            contacts.greeted(said, answer.protocol, answer.time)
+            return answer
+
+        return await door.workers.do(answered, len(call.body))
 
     @api.post("/segments", summary="A station sends segments; 200 means that they are durable")
     async def segments(
