@@ -4,8 +4,8 @@ Contract: `python -m tests.faults.sync_campaign --rounds 1500 --seed 1` (`make f
 table and ends with 0 if no acknowledged event is lost, none doubled, both logs verify and hold the
 same, byte by byte, what was pruned here is whole at central, filtered streams are exact and central
 countersigned; else with 1, the seed, what was wrong and the folder, which it keeps. The link cuts
-all the while, half of the daemons go over TLS. Time to recover is from the fault until central holds what the station's log took
-after it, over the same bad link. PostgreSQL runs with fsync on, in a folder of a real disk.
+all the while, half of the daemons go over TLS. Time to recover is from the fault until central holds what the
+station's log took after it, over the same bad link. PostgreSQL runs with fsync on, in a folder of a real disk.
 The same seed gives the same faults in the same order, as far as the machine lets it.
 """
 
