@@ -5,8 +5,9 @@ walk reaches the position that they signed: heads, and the order hash over posit
 every segment before. Checkpoints of other stations, whose positions are those of another log, are compared by
 heads alone, as soon as those streams are here. Faults go into the walk.
 
-A key is lawful where it is its station's first, where the lawful key before it named it as successor, or where
-the caller knows it. With keys known to the caller, a station's own first key must be one of them.
+A key is lawful where it is its station's first, where the lawful key before it named it as successor, where this log's
+own station has enrolled the other by it, as central does with a machine that takes another's place, or where the
+caller knows it. With keys known to the caller, a station's own first key must be one of them.
 """
 
 from collections import deque
@@ -14,7 +15,19 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from datetime import datetime
 
-from events import CheckpointSigned, EventError, Place, Run, Segment, Sequence, Station, StreamName, decode, events_of
+from events import (
+    CheckpointSigned,
+    EventError,
+    Place,
+    Run,
+    Segment,
+    Sequence,
+    Station,
+    StationEnrolled,
+    StreamName,
+    decode,
+    events_of,
+)
 from store.errors import BadProof, ChainBroken
 from store.keys import is_signed
 from store.log import Log
@@ -308,7 +321,7 @@ class Audit:
         trail = self.trails.setdefault(statement.station, Trail(statement.station))
         # A restored station goes on from the newest checkpoint that it still has.
         is_linked = statement.previous == trail.previous or place.header.epoch > trail.epoch
-        fault = self._fault_of(checkpoint, trail, is_linked)
+        fault = self._fault_of(place, checkpoint, trail, is_linked)
         if fault is not None:
             self._walk.faults.append(_fault(place, checkpoint.sequence, fault))
             return False
@@ -321,7 +334,7 @@ class Audit:
         trail.previous, trail.signed_at = statement_hash(statement), statement.time
         return True
 
-    def _fault_of(self, checkpoint: SignedCheckpoint, trail: Trail, is_linked: bool) -> str | None:
+    def _fault_of(self, place: Segment, checkpoint: SignedCheckpoint, trail: Trail, is_linked: bool) -> str | None:
         statement = checkpoint.statement
         name = key_id(statement.public_key)
         if not is_signed(statement.public_key, checkpoint.signature, statement_bytes(statement)):
@@ -338,7 +351,26 @@ class Audit:
                 f"Next: if you trust that key, put {name}.pem into public-keys/ beside this station's key, from where "
                 "the log was before or from its backup"
             )
+        is_new_life = place.header.epoch > trail.epoch
+        if (is_new_life or statement.public_key not in trail.former) and self._is_enrolled(place, statement.public_key):
+            return None
         return f"it is signed by key {name}, which key {key_id(trail.key)} did not name as its successor"
+
+    def _is_enrolled(self, place: Segment, public_key: bytes) -> bool:
+        """Whether that key is the one by which this log's own station, as central, took the other in last."""
+        if self._own is None or place.stream.station == self._own:
+            return False
+        newest = b""
+        stream = StreamName.of(self._own, "sync", StationEnrolled.type_name)
+        try:
+            for segment in self._log.read_lives(stream):
+                for event in events_of(decode(segment, self._log.catalogue)):
+                    is_before = segment.position is not None and segment.position < (place.position or 0)
+                    if is_before and isinstance(event, StationEnrolled) and event.enrolled == place.stream.station:
+                        newest = event.public_key
+        except (ChainBroken, EventError):
+            return False  # what is damaged there is told where it stands
+        return newest == public_key
 
 
 def checkpoints_in(segment: Segment, log: Log) -> list[SignedCheckpoint]:

@@ -9,7 +9,6 @@ stay. Subscribers' checkpoints come back as they stood; those of row tables do n
 made again from the segments.
 """
 
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -21,6 +20,7 @@ import psycopg
 from events import Chains, Place, Segment
 from store import backup_files as files
 from store.backup_files import Manifest, Restored
+from store.epochs import others
 from store.errors import BackupDamaged, BackupUnusable, ChainBroken, LogUnavailable
 from store.following import follow
 from store.log import Log
@@ -29,9 +29,6 @@ from store.projector import BEHIND
 from store.projector import NAME as PROJECTOR
 from store.schema import safe_dsn
 from store.verification import Verification, verify
-
-_GONE_SECONDS = 5.0
-"""How long sessions that just ended may take to be gone."""
 
 _COPY = (
     "copy segments (position, stream_id, first_sequence, event_count, schema_version, time_min, time_max, recorded_at, "
@@ -144,23 +141,11 @@ def usable_manifest(folder: Path) -> Manifest:
 
 def _check_alone(connection: psycopg.Connection[Any]) -> None:
     """Nothing, if no other program is connected: it would go on in the old epoch."""
-    deadline = time.monotonic() + _GONE_SECONDS
-    while True:
-        others = connection.execute(
-            "select count(*) from pg_stat_activity where datname = current_database() "
-            "and pid <> pg_backend_pid() and usesysid is not null "
-            # An owner who is no superuser is not told of what kind another's session is.
-            "and coalesce(backend_type, 'client backend') = 'client backend'"
-        ).fetchone()
-        assert others is not None, "a count has one row"
-        if not others[0]:
-            return
-        if time.monotonic() > deadline:
-            raise BackupUnusable(
-                f"the log is in use: {others[0]} other connections. Next: stop vian serve and whatever else uses it, "
-                "then give the same command again"
-            )
-        connection.execute("select pg_sleep(0.05)")
+    if count := others(connection):
+        raise BackupUnusable(
+            f"the log is in use: {count} other connections. Next: stop vian serve and whatever else uses it, "
+            "then give the same command again"
+        )
 
 
 def _check_empty(connection: psycopg.Connection[Any]) -> None:

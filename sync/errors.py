@@ -150,13 +150,21 @@ class HeadsDisagree(StreamStopped):
     here: bytes | None
     """Chain hash here at that sequence; None where no segment here ends at it."""
     at_central: bytes
+    is_past: bool = False
+    """Whether the epoch is an earlier one of this log's."""
 
     def __str__(self) -> str:
         here = f"the chain hash here is {self.here.hex()}" if self.here else "no segment ends there on this station"
+        differs = f"at sequence {self.sequence} {here}, at central it is {self.at_central.hex()}"
+        if self.is_past:
+            return (
+                f"stream {self.stream} of the earlier epoch {self.epoch} stays here: {differs}. What is newer is sent. "
+                f"Next, to hand it on: vian evidence export --stream {self.stream} --epoch {self.epoch}"
+            )
         return (
-            f"stream {self.stream} (epoch {self.epoch}) is stopped: at sequence {self.sequence} {here}, at central it "
-            f"is {self.at_central.hex()}; this log was replaced or restored since it sent those events. "
-            "Next: vian verify here; if it is sound, restore the station's newer log, or ask central which to keep"
+            f"stream {self.stream} (epoch {self.epoch}) is stopped: {differs}; central holds events of this station "
+            "that this log never had: the machine took another's place, or its disk was put back to an older state. "
+            "Next: stop vian serve and vian sync here, then vian station new-epoch"
         )
 
 

@@ -4,6 +4,8 @@ Contract: the code's secret goes only to a server whose certificate holds, or on
 request that failed; the code may be used again then, unless central says otherwise.
 """
 
+from dataclasses import dataclass
+
 import httpx
 
 from events import Station
@@ -21,7 +23,16 @@ _SECONDS_MAX = 30.0
 _ANSWER_BYTES_MAX = 64 * 1024
 
 
-def enrol_at(url: httpx.URL, certificate: str | None, secret: bytes, station: Station, key: StationKey) -> Membership:
+@dataclass(frozen=True, slots=True)
+class Joined:
+    """What came of an enrolment."""
+
+    membership: Membership
+    epoch: int
+    """behind all epochs of which central holds events of the station; 0: it holds none, or is of the release before"""
+
+
+def enrol_at(url: httpx.URL, certificate: str | None, secret: bytes, station: Station, key: StationKey) -> Joined:
     """What the station knows of its central once it was taken in.
 
     Args:
@@ -39,7 +50,7 @@ def enrol_at(url: httpx.URL, certificate: str | None, secret: bytes, station: St
     with httpx.Client(base_url=url, timeout=_SECONDS_MAX, verify=context) as client:
         client.auth = RequestSigner(key, station, "", PATH)
         answer = _answer(client, url, body)
-    return Membership(
+    membership = Membership(
         address=str(url).rstrip("/"),
         station=answer.station,
         central=answer.central,
@@ -49,6 +60,7 @@ def enrol_at(url: httpx.URL, certificate: str | None, secret: bytes, station: St
         reads=answer.reads,
         key_id=key.id,
     )
+    return Joined(membership, answer.epoch)
 
 
 def _answer(client: httpx.Client, url: httpx.URL, body: bytes) -> Enrolled:

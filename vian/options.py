@@ -8,7 +8,10 @@ from typing import Annotated
 
 import typer
 
+from events import load_catalogue
 from store import Log, open_log
+from store.embedded import EmbeddedServer
+from store.schema import migrate
 from vian.errors import WorldFailed, WrongUsage
 from vian.settings import Settings, load_settings
 
@@ -90,6 +93,22 @@ def opened(settings: Settings, *, data_dir: Path | None = None, is_made: bool = 
         )
     with open_from(settings, data_dir=data_dir) as log:
         yield log
+
+
+@contextmanager
+def bare_database(settings: Settings, *, data_dir: Path | None = None) -> Iterator[tuple[str, EmbeddedServer | None]]:
+    """Address of the migrated database of `open_from`, with nobody connected; its server, if it is an embedded one."""
+    if settings.dsn is not None and data_dir is None:
+        address = settings.dsn.get_secret_value()
+        migrate(address, load_catalogue())
+        yield address, None
+        return
+    server = EmbeddedServer(settings.data_dir.expanduser().resolve())
+    try:
+        migrate(server.dsn, load_catalogue())
+        yield server.dsn, server
+    finally:
+        server.close()
 
 
 def time_of(option: str, text: str | None) -> datetime | None:

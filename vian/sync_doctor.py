@@ -15,14 +15,12 @@ from cryptography import x509
 
 from events import Station, StreamName, station_name
 from store import Log, load_key
-from sync.errors import BadAnswer, CentralError, HeadsDisagree, PlanError
+from sync.errors import BadAnswer, CentralError, PlanError
 from sync.plans.checking import check_filters, warnings_of
 from sync.plans.plan import Plan
 from sync.plans.planning import planned_in
 from sync.protocol.wire import HelloAnswer
-from sync.runs import StreamKey, end_of
-from sync.station.client import Greeting
-from sync.station.outbox import check_heads
+from vian.epochs import CONNECT_SECONDS, disagreements, greet
 from vian.errors import VianError
 from vian.findings import Finding, Verdict
 from vian.log_checks import check_clock, check_horizon
@@ -32,9 +30,8 @@ from vian.settings import Settings
 from vian.signatures import key_path
 from vian.spans import span
 from vian.sync_view import StationView, station_view
-from vian.tls import AGAIN, certificate_pin, station_context
+from vian.tls import certificate_pin
 
-CONNECT_SECONDS = 10.0
 CERTIFICATE_NOTE_DAYS = 21
 CLOCK_NOTE_S = 2.0
 CLOCK_BAD_S = 60.0
@@ -167,7 +164,7 @@ def _central(log: Log, station: Station, peer: Peer, now: Callable[[], datetime]
                 return
     asked = now()
     try:
-        answer = _hello(log, station, peer, asked)
+        answer = greet(log, station, peer, asked)
     except CentralError as error:
         yield Finding("central", Verdict.BAD, _explained(error))
         return
@@ -254,12 +251,6 @@ def _lasting(certificate: x509.Certificate, host: str) -> Finding:
     return Finding("certificate", Verdict.OK, said)
 
 
-def _hello(log: Log, station: Station, peer: Peer, asked: datetime) -> HelloAnswer:
-    context = station_context(peer.certificate)
-    with httpx.Client(base_url=peer.address, timeout=CONNECT_SECONDS, verify=context) as client:
-        return peer.link(client, AGAIN).hello(Greeting(station, log.epoch, asked, (), None, None))
-
-
 def _explained(error: CentralError) -> str:
     if isinstance(error, BadAnswer) and "text/html" in str(error):
         return (
@@ -285,24 +276,17 @@ def _offset(seconds: float) -> Finding:
 
 def _heads(log: Log, station: Station, answer: HelloAnswer) -> Iterator[Finding]:
     """Whether what central holds can belong to this log's history."""
-    here = {StreamKey(head.stream, head.epoch): head for head in log.streams() if head.stream.station == station}
-    wrong = []
-    for cursor in answer.cursors:
-        there = end_of([run.run() for run in cursor.runs])
-        if cursor.key not in here:
-            epoch = cursor.key.epoch
-            wrong.append(
-                f"central holds {cursor.key.stream} in epoch {epoch}, which this log never had: it is another log "
-                "under this name, or an older copy. Next: vian restore the station's newest backup, or ask central"
-            )
-            continue
-        try:
-            check_heads(here[cursor.key], there)
-        except HeadsDisagree as error:
-            wrong.append(str(error))
-    if not wrong:
-        yield Finding("epoch", Verdict.OK, f"epoch {log.epoch}; what central holds is of this log")
-    for text in wrong[:_SHOWN]:
-        yield Finding("epoch", Verdict.BAD, text)
-    if len(wrong) > _SHOWN:
-        yield Finding("epoch", Verdict.BAD, f"the same of {len(wrong) - _SHOWN} more streams")
+    found = disagreements(log, station, answer.cursors)
+    for is_past, verdict in ((False, Verdict.BAD), (True, Verdict.NOTE)):
+        wrong = [error for error in found if error.is_past == is_past]
+        for error in wrong[:_SHOWN]:
+            yield Finding("epoch", verdict, str(error))
+        if len(wrong) > _SHOWN:
+            yield Finding("epoch", verdict, f"the same of {len(wrong) - _SHOWN} more streams")
+    if not found:
+        yield Finding("epoch", Verdict.OK, f"epoch {log.epoch}; what central holds is of {_lives(log, answer)}")
+
+
+def _lives(log: Log, answer: HelloAnswer) -> str:
+    has_earlier = any(cursor.epoch < log.epoch for cursor in answer.cursors)
+    return "this log, or of epochs before it" if has_earlier else "this log"

@@ -49,6 +49,8 @@ class StreamView:
     eta_s: float | None
     """when central has them at the measured rate, with all that goes before them, s; None where it is not known"""
     why_stopped: str | None
+    is_apart: bool = False
+    """it is of an earlier epoch of which central holds another history: it stays here, and nothing of it waits"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -202,6 +204,8 @@ def _unmade(log: Log, heads: Sequence[StreamHead], plan: Plan) -> list[str]:
 
 def _waiting(head: StreamHead, said: StreamStatus | None, since: datetime | None) -> list[Part]:
     """Which parts of a stream central lacks."""
+    if said is not None and said.is_apart:
+        return []
     cursor = (said.cursor or 0) if said else 0
     parts = [Part(head.stream, head.epoch, since, after=cursor)] if head.sequence > cursor else []
     lacking = max(0, (said.backlog or 0) - (said.sequence - cursor)) if said and cursor else 0
@@ -221,6 +225,7 @@ def _stream(head: StreamHead, priority: int, said: StreamStatus | None, size: Si
         lag_s=_age(size.recorded_from, now) if size.recorded_from else 0.0,
         eta_s=None,
         why_stopped=said.error if said else None,
+        is_apart=said is not None and said.is_apart,
     )
 
 

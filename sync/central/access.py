@@ -155,6 +155,7 @@ class Access:
             reads=taken_in.reads,
             central=self.registry.central,
             public_key=self.key.public.hex(),
+            epoch=self.registry.next_epoch(taken_in.name),
         )
 
     def _signed(self, headers: Mapping[str, str], endpoint: str) -> tuple[Registered, Signed]:

@@ -150,6 +150,21 @@ class Registry:
         assert found is not None, "it was committed above"
         return found
 
+    def next_epoch(self, name: Station) -> int:
+        """The epoch behind all those of which central holds events of the station; 0 where it holds none.
+
+        Ask once the station was enrolled: who had its name before sends no more then.
+
+        Raises:
+            LogUnavailable: The database is away.
+        """
+        with self._log.connection() as connection:
+            row = connection.execute(
+                "select coalesce(max(epoch) + 1, 0) from streams where station = %s", (name,)
+            ).fetchone()
+        assert row is not None, "an aggregate has one row"
+        return int(row[0])
+
     def revoke(self, name: str, reason: str | None = None) -> Registered:
         """Shut a station out, from the moment on when this returns; its codes end too.
 

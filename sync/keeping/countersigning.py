@@ -170,34 +170,35 @@ class Countersigning:
         self._newest: SignedCheckpoint | None = None
         self._looked_at: float | None = None
         self._asked_at: float | None = None
+        self._request: CountersignRequest | None = None
         self._agreed: set[Held] | None = None
         self.sequence: int | None = None
         """Of the newest checkpoint that central countersigned."""
 
-    def due(self, heads: Mapping[StreamKey, StreamHead], held: Mapping[StreamKey, Runs]) -> CountersignRequest | None:
-        """What to ask central now, if anything.
+    def is_due(
+        self, heads: Mapping[StreamKey, StreamHead], held: Mapping[StreamKey, Runs], *, has_time: bool = True
+    ) -> bool:
+        """Whether there is something to ask central; it stays so until it was asked.
 
         Args:
             heads: How the station's streams stand here.
             held: What central holds of them.
+            has_time: Whether to look closely even if that was done a moment ago.
 
         Raises:
             LogUnavailable: The database is away.
         """
         key = StreamKey(self._checkpoints, self._log.epoch)
-        head = heads.get(key)
-        if self._key is None or head is None or _among(held.get(key, ()), head) is None:
-            return None
-        if head.sequence > self._seen:
-            self._look(head)
-        at = self._monotonic()
-        if self._newest is None or (self._looked_at is not None and at - self._looked_at < _LOOK_EVERY_S):
-            return None
-        self._looked_at = at
-        if not self._is_worth_it(self._newest, held, at):
-            return None
-        self._asked_at = at
-        return CountersignRequest(epoch=key.epoch, checkpoint_sequence=self._newest.sequence, reads_bases=True)
+        if self._request is None and self._key is not None and key in heads:
+            self._request = self._next(key, heads[key], held, has_time=has_time)
+        return self._request is not None
+
+    def request(self) -> CountersignRequest:
+        """What to ask central; it is due no more."""
+        request, self._request = self._request, None
+        assert request is not None, "it is due"
+        self._asked_at = self._monotonic()
+        return request
 
     def take(self, answer: Countersigned) -> None:
         """Append central's signature to the station's log.
@@ -252,7 +253,7 @@ class Countersigning:
         position = self._log.head()
         with self._log.transaction() as transaction:
             transaction.save_checkpoint(VOID, position)
-        self._agreed, self.sequence = set(), None
+        self._agreed, self.sequence, self._request = set(), None, None
 
     def look_again(self) -> None:
         """Look at the next question what is due, however short ago the last look was."""
@@ -262,17 +263,36 @@ class Countersigning:
         """Central did not sign: the next checkpoint is another chance."""
         self._newest = None
 
-    def _look(self, head: StreamHead) -> None:
-        """Take in the newest checkpoint."""
-        self._seen = head.sequence
+    def _next(
+        self, key: StreamKey, head: StreamHead, held: Mapping[StreamKey, Runs], *, has_time: bool
+    ) -> CountersignRequest | None:
+        """The question about the newest checkpoint that central holds, if it is worth asking now."""
+        runs = held.get(key, ())
+        if not runs or runs[-1].sequence > head.sequence:
+            return None
+        there = runs[-1]
+        if there.sequence > self._seen:
+            self._look(key, Point(there.sequence, there.chain_hash))
+        at = self._monotonic()
+        was_looked = self._looked_at is not None and at - self._looked_at < _LOOK_EVERY_S
+        if self._newest is None or (was_looked and not has_time):
+            return None
+        self._looked_at = at
+        if not self._is_worth_it(self._newest, held, at):
+            return None
+        return CountersignRequest(epoch=key.epoch, checkpoint_sequence=self._newest.sequence, reads_bases=True)
+
+    def _look(self, key: StreamKey, there: Point) -> None:
+        """Take in the newest checkpoint that central holds."""
+        self._seen = there.sequence
         self._newest = self._looked_at = None
-        segment = next(self._log.read(head.stream, head.sequence, epoch=head.epoch), None)
-        if segment is None:
+        segment = next(self._log.read(key.stream, there.sequence, epoch=key.epoch), None)
+        if segment is None or Point(segment.header.last_sequence, segment.chain_hash) != there:
             return
         try:
             event = events_of(decode(segment, self._log.catalogue))[-1]
             assert isinstance(event, CheckpointSigned), "the stream holds checkpoints only"
-            self._newest = checkpoint_of(event, head.stream.station, head.sequence)
+            self._newest = checkpoint_of(event, key.stream.station, there.sequence)
         except (EventError, BadProof):
             return  # vian verify says what is wrong with it
         if self._agreed is None:

@@ -17,7 +17,7 @@ from typing import Annotated, TypeVar
 from pydantic import Field
 
 from sync.errors import GrantError, Refusal, WireError
-from sync.protocol.wire import HashText, Message, StationText, Text, parse
+from sync.protocol.wire import EpochNumber, HashText, Message, StationText, Text, parse
 
 SECRET_BYTES = 12
 PIN_BYTES = 16
@@ -98,6 +98,8 @@ class Enrolled(Message):
     """central's own name"""
     public_key: HashText
     """central's key, which its countersignatures are checked against, and which requests are meant for"""
+    epoch: EpochNumber = 0
+    """behind all epochs of which central holds events of the station; 0: it holds none"""
 
 
 def parse_message(kind: type[M], body: bytes) -> M:

@@ -113,6 +113,8 @@ class StreamStatus:
     """Time of the newest event that central acknowledged; None where this daemon has sent none."""
     bytes_per_event: float | None = None
     """What an event took on the wire, on average; None where this daemon has sent none."""
+    is_apart: bool = False
+    """It is of an earlier epoch of which central holds another history, and stays here."""
 
 
 @dataclass(frozen=True, slots=True)

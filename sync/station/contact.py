@@ -1,7 +1,8 @@
 """Contact with central: when it was last, what went wrong since, how long to pause.
 
 Contract: pauses double with each failure up to a bound, and are shortened by up to half at random, so that many
-stations do not come back at once.
+stations do not come back at once. What only a person can change is asked for at the longest pause; a refusal counts as
+such from the second in a row on, because the link may have garbled the first.
 """
 
 from collections.abc import Callable
@@ -19,6 +20,7 @@ class Contact:
         self._pace = pace
         self._now = now
         self._random = random
+        self._was_refused = False
         self.failures = 0
         """Failed steps since something last went well."""
         self.last_error: str | None = None
@@ -30,10 +32,11 @@ class Contact:
     def answered(self) -> None:
         """Central has answered."""
         self.last = self._now()
+        self._was_refused = False
 
     def greeted(self, asked: datetime, central_time: datetime) -> None:
         """Central has answered a hello."""
-        self.last = self._now()
+        self.answered()
         self.clock_offset_s = (central_time - asked).total_seconds()
 
     def went_well(self) -> None:
@@ -47,8 +50,13 @@ class Contact:
         self.last_error = str(error)
         if isinstance(error, SessionOver) and self.failures == 1:
             return 0.0
-        if isinstance(error, NotAuthorised | ProtocolMismatch | PlanError):
-            pause = self._pace.backoff_s_max  # Only a person can change that.
+        if self._is_lasting(error):
+            pause = self._pace.backoff_s_max
         else:
             pause = min(self._pace.backoff_s_max, self._pace.backoff_s * 2 ** min(self.failures - 1, 30))
         return pause * (0.5 + self._random() / 2)
+
+    def _is_lasting(self, error: SyncError | LogUnavailable) -> bool:
+        """Whether only a person can change what is wrong."""
+        was_refused, self._was_refused = self._was_refused, isinstance(error, NotAuthorised | ProtocolMismatch)
+        return isinstance(error, PlanError) or (was_refused and self._was_refused)

@@ -15,7 +15,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import datetime
-from itertools import pairwise
+from itertools import islice, pairwise
 from time import monotonic as steady
 from time import sleep
 
@@ -52,6 +52,10 @@ from sync.station.standing import Standing
 
 _FOR_GOOD = ("false_header", "too_many_streams", "too_many_runs")
 """Codes of refusals that the same segment meets again."""
+_NOTES_MAX = 3
+"""Most streams that stay here of which the status says why."""
+_OVERTAKEN_MAX = 20
+"""Live requests that go ahead of a signature or a repair: while live work never ends, it has its turn then."""
 
 
 class Daemon:
@@ -120,6 +124,8 @@ class Daemon:
         self._is_set = False
         self._is_log_away = False
         self._is_chores_turn = True
+        self._overtaken = 0
+        """live requests that went ahead of the errand that waits"""
         self._log_head = -1
         self._plan_place: tuple[int, int] | None = None
         self._is_plan_seen = False
@@ -227,7 +233,7 @@ class Daemon:
             protocol=self._central.protocol,
             rate_bps=self._meter.bps or (before.rate_bps if before else None),
             countersigned=self._countersigning.sequence,
-            notes=self._chores.notes,
+            notes=(*self._chores.notes, *map(str, islice(self._standing.apart.values(), _NOTES_MAX))),
         )
 
     def _stream_status(self, key: StreamKey, before: StreamStatus | None) -> StreamStatus:
@@ -250,6 +256,7 @@ class Daemon:
             None if stopped is None else str(stopped),
             sent.until if sent else (before.held_until if before else None),
             sent.size / sent.events if sent else (before.bytes_per_event if before else None),
+            key in self._standing.apart or (held is None and before is not None and before.is_apart),
         )
 
     def _stop_reason(self) -> str | None:
@@ -369,16 +376,18 @@ class Daemon:
         return Step("hello")
 
     def _work(self) -> Step:
-        """Do the most urgent thing: live work, then signatures, chores and backlog in turn."""
+        """Do the most urgent thing: live work, then signatures and repairs, then chores and backlog in turn."""
         works = self._standing.works(may_jump=self._central.may_jump)
         at = self._monotonic()
         waits = {id(work): self._caps.wait_s(work.entry, at, is_live=work.is_live) for work in works}
         ready = [work for work in works if not waits[id(work)]]
         first = self._chosen(ready)
-        if first and first[0].is_live:
+        errand = self._errand(has_time=not works)
+        if first and first[0].is_live and (errand is None or self._overtaken < _OVERTAKEN_MAX):
+            self._overtaken += errand is not None
             return self._launch(first, at)
-        if (step := self._countersign() or self._repair()) is not None:
-            return step
+        if errand is not None:
+            return self._do_errand(errand)
         self._is_chores_turn = not self._is_chores_turn or not first
         if self._is_chores_turn and self._chores.step(self._now()):
             return Step("chore")
@@ -404,15 +413,24 @@ class Daemon:
         sleep_s = min(self._pace.idle_s, max(until_hello, 0.001))
         return Step("nothing", sleep_s if wait_s is None else min(sleep_s, wait_s))
 
-    def _countersign(self) -> Step | None:
+    def _errand(self, *, has_time: bool) -> Callable[[], Step] | None:
+        """A short request of its own that waits: a signature, or a range that central wants back."""
         held = self._standing.acknowledged
-        if held is None or len(self._flights):
-            return None
-        request = self._countersigning.due(self._standing.here(), held)
-        if request is None:
-            return None
+        if held is not None and self._countersigning.is_due(self._standing.here(), held, has_time=has_time):
+            return self._countersign
+        return self._repair if self._wanted else None
+
+    def _do_errand(self, errand: Callable[[], Step]) -> Step:
+        """Do it once nothing is under way; no backlog is launched meanwhile, or it would never be so."""
+        if len(self._flights):
+            self._flights.wait()
+            return Step("sending")
+        self._overtaken = 0
+        return errand()
+
+    def _countersign(self) -> Step:
         try:
-            answer = self._central.countersign(request)
+            answer = self._central.countersign(self._countersigning.request())
         except Refused:
             self._countersigning.gave_up()
             raise
@@ -420,10 +438,8 @@ class Daemon:
         self._contact.answered()
         return Step("countersigned")
 
-    def _repair(self) -> Step | None:
+    def _repair(self) -> Step:
         """Send again the next range that central wants back."""
-        if not self._wanted or len(self._flights):
-            return None
         wanted = self._wanted.pop(0)
         with suppress(Refusal, Refused):  # what is not here, or is another's, central lacks as before
             terms = self._terms
@@ -509,6 +525,9 @@ class Daemon:
             self._standing.doubt()
             self._outbox.forget()
             return Step("doubted", self._pace.backoff_s)
+        if isinstance(error, HeadsDisagree) and error.is_past:
+            self._standing.apart[key] = error
+            return Step("stopped")
         self._standing.stopped[key] = error
         return Step("stopped", error=error)
 

@@ -64,16 +64,39 @@ class Parcel:
         return sum(each.size for each in self.filled)
 
 
-def check_heads(here: StreamHead, there: Point) -> None:
+def check_heads(here: StreamHead, there: Point, epoch: int) -> None:
     """Nothing, if what central has newest can belong to the history of which `here` is the head.
+
+    Of an earlier epoch central may have more: what came after the backup, or before the disk was put back.
+
+    Args:
+        here: The stream's head at this station.
+        there: Central's.
+        epoch: This log's own.
 
     Raises:
         HeadsDisagree: Central has more than this station, or another last segment.
     """
-    if there.sequence > here.sequence:
+    is_past = here.epoch < epoch
+    if there.sequence > here.sequence and not is_past:
         raise HeadsDisagree(here.stream, here.epoch, there.sequence, None, there.chain_hash)
     if there.sequence == here.sequence and there.chain_hash != here.chain_hash:
-        raise HeadsDisagree(here.stream, here.epoch, there.sequence, here.chain_hash, there.chain_hash)
+        raise HeadsDisagree(here.stream, here.epoch, there.sequence, here.chain_hash, there.chain_hash, is_past)
+
+
+def check_history(log: Log, here: StreamHead, there: Point) -> None:
+    """Nothing, if what central has newest is of this log's history of the stream, as the log itself says.
+
+    Raises:
+        HeadsDisagree: It is not.
+        LogUnavailable: The database is away.
+    """
+    check_heads(here, there, log.epoch)
+    if 0 < there.sequence < here.sequence:
+        segment = next(log.read(here.stream, there.sequence, epoch=here.epoch, with_hollow=True), None)
+        if segment is not None and segment.header.first_sequence <= there.sequence:
+            end = Point(segment.header.last_sequence, segment.chain_hash)
+            _check_end(StreamKey(here.stream, here.epoch), end, there, log.epoch)
 
 
 class Outbox:
@@ -170,11 +193,11 @@ def _checked(log: Log, gap: Gap) -> Iterator[Record]:
     for segment in _stored(log, gap):
         end = Point(segment.header.last_sequence, segment.chain_hash)
         if segment.header.first_sequence <= gap.after.sequence:
-            _check_end(end, gap, gap.after)
+            _check_end(gap.key, end, gap.after, log.epoch)
             continue
         _check_segment(segment, at)
         if end.sequence >= gap.until.sequence:
-            _check_end(end, gap, gap.until)
+            _check_end(gap.key, end, gap.until, log.epoch)
         yield Record(segment, at.chain_hash, begins_run)
         at, begins_run = end, False
         if end.sequence >= gap.until.sequence:
@@ -192,11 +215,11 @@ def _stored(log: Log, gap: Gap) -> Iterator[Segment]:
         raise Damaged(stream, epoch, error.first_sequence, error.reason) from error
 
 
-def _check_end(here: Point, gap: Gap, there: Point) -> None:
+def _check_end(key: StreamKey, here: Point, there: Point, epoch: int) -> None:
     """Nothing, if a segment of this station ends where central holds that one does, with the same chain hash."""
     if here != there:
         chain_hash = here.chain_hash if here.sequence == there.sequence else None
-        raise HeadsDisagree(*gap.key, there.sequence, chain_hash, there.chain_hash)
+        raise HeadsDisagree(*key, there.sequence, chain_hash, there.chain_hash, key.epoch < epoch)
 
 
 def _check_segment(segment: Segment, at: Point) -> None:

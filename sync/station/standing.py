@@ -48,6 +48,9 @@ class Standing:
         self.acknowledged: dict[StreamKey, Runs] | None = None
         """What central said that it holds; None before it said anything."""
         self.stopped: dict[StreamKey, StreamStopped] = {}
+        """Streams that are not sent further until somebody does something."""
+        self.apart: dict[StreamKey, StreamStopped] = {}
+        """Streams of earlier epochs of which central holds another history: they stay here."""
 
     @property
     def planned(self) -> Mapping[StreamKey, Planned]:
@@ -141,7 +144,7 @@ class Standing:
         return [
             work
             for key, planned in self._pending.items()
-            if key not in self.stopped
+            if key not in self.stopped and key not in self.apart
             for work in works_of(planned, self.runs.get(key, ()), self._turns.get(key, 0), may_jump=may_jump)
         ]
 
@@ -150,6 +153,8 @@ class Standing:
         planned, held = self._planned[key], self.acknowledged
         if held is None:
             return None
+        if key in self.apart:
+            return 0
         return sum(gap.events for gap in gaps_of(key, held.get(key, ()), planned.start, planned.head))
 
     def check(self) -> None:
@@ -165,9 +170,8 @@ class Standing:
             key = self._unchecked.pop()
             head, runs = self._heads[key], (self.runs or {}).get(key, ())
             newest = end_of(runs)
-            if not runs or (head.epoch < self._log.epoch and newest.sequence > head.sequence):
-                continue  # of before a restore: central has what came after the backup, and keeps it
-            check_heads(head, newest)
+            if runs:
+                check_heads(head, newest, self._log.epoch)
 
     def _forget_marks(self) -> None:
         self._marks.clear()

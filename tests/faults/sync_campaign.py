@@ -2,9 +2,10 @@
 
 Contract: `python -m tests.faults.sync_campaign --rounds 1500 --seed 1` (`make faults-sync`) prints one
 table and ends with 0 if no acknowledged event is lost, none doubled, both logs verify and hold the
-same, byte by byte; else with 1, the seed, what was wrong and the folder, which it keeps. The link cuts
-all the while. Time to recover is from the fault until central holds what the station's log took
-after it, over the same bad link. PostgreSQL runs with fsync on, in a folder of a real disk.
+same, byte by byte, what was pruned here is whole at central, filtered streams are exact and central
+countersigned; else with 1, the seed, what was wrong and the folder, which it keeps. The link cuts
+all the while, half of the daemons go over TLS. Time to recover is from the fault until central holds what the
+station's log took after it, over the same bad link. PostgreSQL runs with fsync on, in a folder of a real disk.
 The same seed gives the same faults in the same order, as far as the machine lets it.
 """
 
@@ -21,12 +22,14 @@ import sys
 import tempfile
 import time
 from collections import Counter, defaultdict
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
 from multiprocessing.connection import wait
 from pathlib import Path
 from typing import Any
 
+import httpx
 import psycopg
 from rich.console import Console
 from rich.progress import track
@@ -35,20 +38,32 @@ from rich.table import Table
 from events import Segment, StreamName, decode
 from store import Log, LogUnavailable, back_up, open_log, restore, verify
 from store.embedded import EmbeddedServer
+from sync import Plan
+from sync.plans.entries import derived_name
+from sync.plans.planning import planned_in, set_plan
 from tests.faults.load import Process, opened, persistently
 from tests.faults.sync_load import (
     ANSWER_S_MAX,
+    CENTRAL,
+    DIVISORS,
+    FILTERED,
+    PLANS,
     STATION,
     STREAMS,
     append_slowly,
-    enrol,
+    invite,
     serve_until_killed,
+    station_key,
     sync_until_killed,
 )
 from tests.store.disks import fill, small_disk
 from tests.store.samples import owner
 from tests.store.servers import end_servers, postmaster
-from tests.sync.proxy import CALM, CUTS, OF_EXCHANGES, Proxy, Weather
+from tests.sync.proxy import CALM, CUTS, OF_BYTES, OF_EXCHANGES, SILENT, Proxy, Weather
+from vian.enrolling import enrol_at
+from vian.epochs import settle_epoch
+from vian.errors import WorldFailed
+from vian.tls import own_certificate
 
 StreamKey = tuple[StreamName, int]
 
@@ -76,6 +91,8 @@ class Tally:
     steps: Counter[str] = field(default_factory=Counter)
     acknowledged: int = 0
     held: int = 0
+    pruned: int = 0
+    countersigned: int = 0
     lost: int = 0
     doubled: int = 0
     wrong: list[str] = field(default_factory=list)
@@ -88,6 +105,8 @@ class Tally:
         self.steps += other.steps
         self.acknowledged += other.acknowledged
         self.held += other.held
+        self.pruned += other.pruned
+        self.countersigned += other.countersigned
         self.lost += other.lost
         self.doubled += other.doubled
         self.wrong += other.wrong
@@ -127,11 +146,10 @@ class Campaign:
         self._central_dir = central_dir or folder / "central-1"
         for each in (self._station_dir, self._central_dir):
             self._make_log(each)
-        self._station = opened(self._station_dir)
         self._central = opened(self._central_dir)
-        enrol(self._central)
-        self._port = _free_port()
-        self._link = Proxy(self._port, seed, weather=BAD)
+        self._port, self._tls_port = _free_port(), _free_port()
+        self._certificate = own_certificate(folder)
+        self._links = (Proxy(self._port, seed), Proxy(self._tls_port, seed, is_opaque=True))
         self._ledger: dict[StreamKey, int] = {}
         """What the station's log acknowledged, of each of its lives."""
         self._past: dict[StreamKey, list[Segment]] = {}
@@ -140,8 +158,10 @@ class Campaign:
         """Events at central."""
         self._checked = 0
         self._backups = 0
-        self._server = self._started(serve_until_killed, self._central_dir, self._port)
-        self._server.said()
+        self._start_central()
+        self._enrol()
+        self._station = opened(self._station_dir)
+        self._weather(BAD)
         self._appender = self._started(append_slowly, self._station_dir, self._seed())
         self._note(self._appender.said())
         self._daemons = [self._daemon()]
@@ -150,7 +170,8 @@ class Campaign:
         """End all of it."""
         for process in (*self._daemons, self._appender, self._server):
             process.close()
-        self._link.close()
+        for link in self._links:
+            link.close()
         self._station.close()
         self._central.close()
         for data_dir in (self._station_dir, self._central_dir, self._folder):
@@ -170,23 +191,25 @@ class Campaign:
 
     def cut_until(self, cuts: int) -> None:
         """Go on until the link has ended so many connections."""
-        self._link.set(kinds=CUTS, share=0.9)
+        self._weather(replace(BAD, kinds=CUTS, share=0.9))
         while self._link_cuts() < cuts:
             self._listen(0.1)
-        self._link.set(kinds=BAD.kinds, share=BAD.share)
+        self._weather(BAD)
 
     def finish(self) -> None:
         """End the load, let central catch up over a good link, and compare the two logs as wholes."""
         self._appender.kill()
         self._hear()
-        self._link.weather = CALM
+        self._weather(CALM)
         heads: dict[StreamKey, int] = {}
         while heads != (heads := self._heads_here()):  # what the killed one had begun may still be committed
             self._caught_up(heads)
             self._listen(LOAD_S_MAX)
-        self.tally.link = self._link.counts
+        self._filtered_is_whole()
+        self.tally.link = sum((link.counts for link in self._links), Counter())
         self._check_new()
         self._check_whole()
+        self._check_kept()
         self.tally.acknowledged = sum(self._ledger.values())
         self.tally.held = sum(map(len, self._seen.values()))
 
@@ -228,16 +251,24 @@ class Campaign:
 
     def silence(self) -> None:
         """Every connection falls silent and stays open."""
-        self._link.set(share=1.0, kinds=("silent",), silent_s=ANSWER_S_MAX * 2)
+        self._weather(Weather(share=1.0, kinds=(SILENT,), silent_s=ANSWER_S_MAX * 2))
         self._listen(OUTAGE_S)
-        self._link.weather = BAD
+        self._weather(BAD)
 
     def cut_off(self) -> None:
         """The link goes down with all that is under way."""
-        self._link.set(is_down=True)
-        self._link.cut_all()
+        for link in self._links:
+            link.set(is_down=True)
+            link.cut_all()
         self._listen(OUTAGE_S)
-        self._link.set(is_down=False)
+        self._weather(BAD)
+
+    def change_plan(self) -> None:
+        """Another filter, while whatever is under way is under way."""
+        planned = persistently(self._station, lambda: planned_in(self._station, STATION))
+        assert planned is not None, "a daemon has set one"
+        plan = next(each for each in PLANS if each.entries != planned.plan.entries)
+        persistently(self._station, lambda: set_plan(self._station, STATION, plan, planned.central, _real_now()))
 
     def begin_second_daemon(self) -> None:
         """A second daemon for the same station, beside the first until the round is over."""
@@ -264,7 +295,7 @@ class Campaign:
         self._start_central()
 
     def reimage_station(self) -> None:
-        """The station's disk is lost, and a new machine bears its name: a new epoch."""
+        """The station's disk is lost, and a new machine with a key of its own enrols under its name: a new epoch."""
         self._appender.kill()
         self._hear()
         self._end_daemon(self._daemons.pop(0))
@@ -274,9 +305,9 @@ class Campaign:
         self._remember(epoch)
         self._station_dir = self._folder / f"station-{epoch + 1}"
         self._make_log(self._station_dir)
-        with opened(self._station_dir) as log, owner(log) as connection:
-            connection.execute("update log_head set epoch = %s", (epoch + 1,))
+        self._enrol(epoch + 1)
         self._station = opened(self._station_dir)
+        self._expect(self._station.epoch == epoch + 1, f"epoch {self._station.epoch} follows {epoch}")
         self._appender.close()
         self._appender = self._started(append_slowly, self._station_dir, self._seed())
         self._note(self._appender.said())
@@ -312,6 +343,20 @@ class Campaign:
             return {(head.stream, head.epoch): int(head.sequence) for head in self._central.streams()}
         except LogUnavailable:
             return {}
+
+    def _enrol(self, epoch: int = 1) -> None:
+        """Take the station's machine in, as `vian station enrol` does, over TLS, by a code that serves once."""
+        url, pinned = httpx.URL(f"https://127.0.0.1:{self._tls_port}"), self._certificate.certificate.read_text()
+        deadline = time.monotonic() + CATCH_UP_S_MAX
+        while True:
+            secret = persistently(self._central, lambda: invite(self._central))
+            try:
+                joined = enrol_at(url, pinned, secret, STATION, station_key(epoch))
+                break
+            except WorldFailed:  # central may be coming back from what was done to it before
+                if time.monotonic() > deadline:
+                    raise
+        settle_epoch(lambda: _database(self._station_dir), STATION, joined.epoch)
 
     def _remember(self, epoch: int) -> None:
         """Keep what central holds of a life that is over: it is all that is left, and must stay."""
@@ -367,8 +412,34 @@ class Campaign:
         return {key: last for key, last in wanted.items() if held.get(key, 0) < last}
 
     def _heads_here(self) -> dict[StreamKey, int]:
+        """Where the streams stand here that the plan sends."""
         heads = persistently(self._station, self._station.streams)
-        return {(head.stream, head.epoch): int(head.sequence) for head in heads}
+        plan = self._plan()
+        return {(h.stream, h.epoch): int(h.sequence) for h in heads if plan.entry_for(h.stream) is not None}
+
+    def _plan(self) -> Plan:
+        planned = persistently(self._station, lambda: planned_in(self._station, STATION))
+        return PLANS[0] if planned is None else planned.plan
+
+    def _filtered_is_whole(self) -> None:
+        """Wait until central holds all that the plan's filter leaves.
+
+        Raises:
+            GaveUp: It does not.
+        """
+        deadline = time.monotonic() + CATCH_UP_S_MAX
+        index = next(n for n, each in enumerate(PLANS) if each.entries == self._plan().entries)
+        wanted = [frame for frame in self._frames(self._station, FILTERED) if frame % DIVISORS[index] == 0]
+        while (held := self._frames(self._central, _derived(index))) != wanted:
+            if time.monotonic() > deadline:
+                raise GaveUp(f"of {len(wanted)} events that the filter leaves central holds {len(held)}, or others")
+            self._listen(_POLL_S)
+
+    def _frames(self, log: Log, stream: StreamName) -> list[int]:
+        """Frames of the stream in the station's present epoch."""
+        epoch = self._station.epoch
+        segments = persistently(log, lambda: list(log.read(stream, epoch=epoch)))
+        return [n for each in segments for n in decode(each, log.catalogue).data.column("frame").to_pylist()]
 
     def _check_new(self) -> None:
         """What came to central since the last check: nothing is double, and each event is itself."""
@@ -389,19 +460,34 @@ class Campaign:
 
     def _check_whole(self) -> None:
         """Both logs verify, and hold the same of this station, byte by byte; earlier lives are as they were."""
-        for name, log in (("station", self._station), ("central", self._central)):
-            found = persistently(log, lambda log=log: verify(log))  # type: ignore[misc]
+        for name, log, own in (("station", self._station, STATION), ("central", self._central, CENTRAL)):
+            found = persistently(log, lambda log=log, own=own: verify(log, station=own))  # type: ignore[misc]
             self._expect(found.is_sound, f"the log of {name} does not verify: {list(map(str, found.broken[:3]))}")
         for key in self._heads_here():
-            here, there = (_content(log, key) for log in (self._station, self._central))
-            self._expect(here == there, f"{key}: {len(here)} segments here, {len(there)} at central, or other bytes")
+            here, there = (_segments(log, key) for log in (self._station, self._central))
+            is_same = [_proof(each) for each in here] == [_proof(each) for each in there]
+            self._expect(is_same, f"{key}: {len(here)} segments here, {len(there)} at central, or other bytes")
+            self._expect(all(each.has_payload for each in there), f"{key}: central lacks payloads")
+            self.tally.pruned += sum(not each.has_payload for each in here)
         for key, acknowledged in self._ledger.items():
             self._count_lost(key, acknowledged)
         for key, segments in self._past.items():
             self._expect(
-                _content(self._central, key)[: len(segments)] == [_bytes(each) for each in segments],
+                [_bytes(each) for each in _segments(self._central, key)][: len(segments)]
+                == [_bytes(each) for each in segments],
                 f"{key}: what central held of an earlier life is not there any more",
             )
+
+    def _check_kept(self) -> None:
+        """Central has countersigned, and of each filter holds events that it leaves, in order, from the first on."""
+        signed = self._station.stream_head(StreamName.of(STATION, "sync", "checkpoint_countersigned"))
+        self.tally.countersigned += int(signed.sequence)
+        self._expect(bool(signed.sequence), "central countersigned nothing of the station's present life")
+        frames = self._frames(self._station, FILTERED)
+        for index, divisor in enumerate(DIVISORS):
+            held = self._frames(self._central, _derived(index))
+            wanted = [frame for frame in frames if frame % divisor == 0]
+            self._expect(held == wanted[: len(held)], f"of every {divisor}. event central holds others, or doubles")
 
     def _count_lost(self, key: StreamKey, acknowledged: int) -> None:
         missing = len(set(range(1, acknowledged + 1)) - self._seen[key])
@@ -428,10 +514,23 @@ class Campaign:
         return Process(target, *arguments)
 
     def _daemon(self) -> Process:
-        return self._started(sync_until_killed, self._station_dir, self._link.port, self._seed())
+        plain, opaque = (link.port for link in self._links)
+        pinned = self._certificate.certificate.read_text()
+        way = self._choose.choice(((f"http://127.0.0.1:{plain}", None), (f"https://127.0.0.1:{opaque}", pinned)))
+        return self._started(sync_until_killed, self._station_dir, *way, self._seed())
+
+    def _weather(self, weather: Weather) -> None:
+        """Let it be so on both links; what cannot be seen into has more pieces than exchanges."""
+        plain, opaque = self._links
+        plain.weather = weather
+        kinds = tuple(kind for kind in weather.kinds if kind in OF_BYTES)
+        opaque.weather = replace(
+            weather, kinds=kinds, share=weather.share if weather.share > 0.5 else weather.share / 5
+        )
 
     def _start_central(self) -> None:
-        self._server = self._started(serve_until_killed, self._central_dir, self._port)
+        ways = (self._port, self._tls_port, self._certificate.certificate)
+        self._server = self._started(serve_until_killed, self._central_dir, *ways)
         self._server.said()
 
     def _end_daemon(self, daemon: Process) -> None:
@@ -457,8 +556,8 @@ class Campaign:
     def _note(self, words: Any) -> None:
         if isinstance(words, str):
             raise GaveUp(words)
-        for stream, sequence in words.items():
-            self._ledger[stream, self._station.epoch] = sequence
+        for stream in STREAMS:
+            self._ledger[stream, self._station.epoch] = words[stream]
 
     def _note_steps(self, daemon: Process) -> None:
         for did, error in daemon.last_words():
@@ -467,7 +566,7 @@ class Campaign:
                 self._expect(False, f"a stream stopped: {error}")
 
     def _link_cuts(self) -> int:
-        return sum(self._link.counts[kind] for kind in CUTS)
+        return sum(link.counts[kind] for link in self._links for kind in CUTS)
 
 
 FAULTS: dict[str, Callable[[Campaign], None]] = {
@@ -481,6 +580,7 @@ FAULTS: dict[str, Callable[[Campaign], None]] = {
     "link silent": Campaign.silence,
     "link down": Campaign.cut_off,
     "two daemons": Campaign.begin_second_daemon,
+    "plan changed": Campaign.change_plan,
     "central restored": Campaign.restore_central,
     "station re-imaged": Campaign.reimage_station,
 }
@@ -495,6 +595,7 @@ TIMES = {
     "link silent": 40,
     "link down": 40,
     "two daemons": 60,
+    "plan changed": 60,
     "central restored": 5,
     "station re-imaged": 5,
 }
@@ -565,6 +666,8 @@ def table(tally: Tally) -> Table:
         ("connections cut in the middle", tally.cuts),
         ("events acknowledged at the station", tally.acknowledged),
         ("events at central, of all lives", tally.held),
+        ("countersignatures of the last life", tally.countersigned),
+        ("segments pruned at the station, whole at central", tally.pruned),
         ("acknowledged events lost", tally.lost),
         ("events doubled", tally.doubled),
     ):
@@ -605,9 +708,33 @@ def _free_port() -> int:
     raise AssertionError("no port is free")
 
 
-def _content(log: Log, key: StreamKey) -> list[tuple[Any, ...]]:
+@contextlib.contextmanager
+def _database(data_dir: Path) -> Iterator[tuple[str, EmbeddedServer | None]]:
+    """The database of a log, with nobody connected."""
+    server = EmbeddedServer(data_dir)
+    try:
+        yield server.dsn, server
+    finally:
+        server.close()
+
+
+def _derived(index: int) -> StreamName:
+    """The stream that the filter of that plan makes."""
+    return derived_name(FILTERED, PLANS[index].entries[0])
+
+
+def _real_now() -> datetime:
+    return datetime.now(UTC)
+
+
+def _segments(log: Log, key: StreamKey) -> list[Segment]:
     stream, epoch = key
-    return [_bytes(each) for each in log.read(stream, epoch=epoch)]
+    return list(log.read(stream, epoch=epoch, with_hollow=True))
+
+
+def _proof(segment: Segment) -> tuple[Any, ...]:
+    """What stays of a segment whatever becomes of its payload."""
+    return segment.header, segment.payload_hash, segment.chain_hash
 
 
 def _bytes(segment: Segment) -> tuple[Any, ...]:

@@ -25,10 +25,10 @@ from store import (
     back_up,
     backup,
     backup_files,
+    epochs,
     maintenance,
     note_restored,
     restore,
-    restoring,
     verify,
     verify_restored,
 )
@@ -310,7 +310,7 @@ def test_a_log_that_holds_anything_is_not_restored_over(log: Log, folder: Path, 
 def test_a_log_that_somebody_uses_is_not_restored_into(
     log: Log, folder: Path, target: Target, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(restoring, "_GONE_SECONDS", 0.0)
+    monkeypatch.setattr(epochs, "_GONE_SECONDS", 0.0)
     append(log, GATE, 1)
     back_up(log, folder)
     dsn = target()
@@ -324,7 +324,7 @@ def test_a_log_that_somebody_uses_is_not_restored_into(
 def test_an_owner_who_is_no_superuser_sees_that_somebody_uses_the_log(
     log: Log, folder: Path, target: Target, server: Server, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(restoring, "_GONE_SECONDS", 0.0)
+    monkeypatch.setattr(epochs, "_GONE_SECONDS", 0.0)
     append(log, GATE, 1)
     back_up(log, folder)
     dsn = target()

@@ -1,6 +1,7 @@
 """Central countersigns what it holds; the station believes its signature only, and asks for nothing new twice."""
 
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Sequence
 from datetime import UTC, datetime, timedelta
 from hashlib import sha256
 from pathlib import Path
@@ -16,7 +17,8 @@ from sync.keeping.countersigned import Held, countersigned_bytes, held_in, is_co
 from sync.keeping.countersigning import countersign
 from sync.keeping.pruning import Pruner
 from sync.protocol.reports import Pace
-from sync.protocol.wire import CountersignRequest
+from sync.protocol.wire import CountersignRequest, Record, SegmentsAnswer
+from sync.station.client import Link
 from tests.store.tiered import seal_all
 from tests.sync.conftest import (
     BRNO,
@@ -312,3 +314,57 @@ def test_what_leads_to_room_is_recorded_on_a_full_disk(station_log: Log, make: M
     sign(station_log)
     assert did(make()).count("countersigned") == 1
     assert len(given(station_log)) == 1
+
+
+class Saturated:
+    """A link on which a request with segments is answered once the next one is under way, or after a while."""
+
+    def __init__(self, inner: Link) -> None:
+        self._inner = inner
+        self._sent = 0
+        self._begun = threading.Condition()
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._inner, name)
+
+    def send(self, records: Sequence[Record], order: str = "", follows: str = "") -> SegmentsAnswer:
+        answer = self._inner.send(records, order, follows)
+        with self._begun:
+            self._sent += 1
+            mine = self._sent
+            self._begun.notify_all()
+            self._begun.wait_for(lambda: self._sent > mine, 0.5)
+        return answer
+
+
+def segments_before_signing(daemon: Daemon, log: Log, on_step: Callable[[], None] = lambda: None) -> int:
+    """How many segments were sent between a checkpoint, made once all is under way, and its countersignature."""
+    daemon._central = daemon._flights._link = Saturated(daemon._central)
+    while daemon.step().did != "sent":
+        on_step()
+    sign(log)
+    segments = 0
+    while (step := daemon.step()).did != "countersigned":
+        assert step.error is None
+        assert step.did != "nothing"
+        segments += step.segments
+        on_step()
+    return segments
+
+
+def test_a_saturated_link_does_not_keep_central_from_signing(station_log: Log, make: MakeDaemon) -> None:
+    append_points(station_log, stream_of(), [10] * 100)
+    append_points(station_log, stream_of("yard"), [1])
+    alerts = [{"stream": each, "priority": "alerts"} for each in ("*/log/*", "*/yard/*")]
+    daemon = make(
+        plan=Plan.of({"entries": [*alerts, {"stream": "*/*/*", "order": "live"}]}), pace=Pace(1000, 1000, in_flight=2)
+    )
+    assert segments_before_signing(daemon, station_log) < 10
+    assert daemon.status().countersigned == 1
+
+
+def test_live_work_without_end_does_not_keep_central_from_signing(station_log: Log, make: MakeDaemon) -> None:
+    plan = Plan.of({"entries": [{"stream": "*/gate/*", "priority": "alerts"}, {"stream": "*/*/*"}]})
+    append_points(station_log, stream_of(), [1])
+    daemon = make(plan=plan, pace=Pace(1000, 1000, in_flight=2))
+    assert segments_before_signing(daemon, station_log, lambda: append_points(station_log, stream_of(), [1])) < 100

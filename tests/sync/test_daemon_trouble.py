@@ -24,8 +24,10 @@ from sync import (
     SessionOver,
     Step,
 )
+from sync.runs import end_of
 from sync.station.client import Central
 from sync.station.client_v1 import CentralV1
+from sync.station.outbox import check_history
 from tests.sync.conftest import (
     BRNO,
     EVERYTHING,
@@ -55,9 +57,34 @@ def test_a_wrong_token_is_told_with_the_next_command_and_tried_again_slowly(make
     assert isinstance(step.error, NotAuthorised)
     assert "the token is not granted here" in str(step.error)
     assert "Next: vian station add" in str(step.error)
-    assert step.sleep_s >= 30
+    assert step.sleep_s <= 1  # the link may have garbled this one
+    assert [daemon.step().sleep_s >= 30 for _ in range(3)] == [True] * 3
     with pytest.raises(NotAuthorised):
         daemon.catch_up()
+
+
+def test_one_garbled_request_costs_an_ordinary_pause(
+    station_log: Log, central_log: Log, make_daemon: MakeDaemon, faults: Faults
+) -> None:
+    append_points(station_log, stream_of(), [2])
+    daemon = make_daemon(pace=Pace(backoff_s=1, backoff_s_max=60))
+    garble_signatures(faults, {1, 3})
+    pauses = [step.sleep_s for step in iter(daemon.step, Step("nothing", Pace().idle_s)) if step.error is not None]
+    assert len(pauses) == 2
+    assert max(pauses) <= 2
+    assert stored(central_log) == stored(station_log)
+
+
+def garble_signatures(faults: Faults, numbers: set[int]) -> None:
+    """Let these of the signed requests that follow come to central with another signature."""
+    exchange, count = faults._exchange, iter(range(1, 1000))
+
+    def garbling(request: httpx.Request, body: bytes) -> httpx.Response:
+        if "signature" in request.headers and next(count) in numbers:
+            request.headers["signature"] = "vian-sync=:" + "A" * 86 + "==:"
+        return exchange(request, body)
+
+    faults._exchange = garbling  # type: ignore[method-assign]
 
 
 def test_the_token_of_another_station_is_refused(central_log: Log, make_daemon: MakeDaemon) -> None:
@@ -234,7 +261,7 @@ def test_a_station_with_another_history_is_stopped_with_both_hashes(
 
     assert step.did == "stopped"
     assert isinstance(step.error, HeadsDisagree)
-    for part in ("brno-2/gate/track_point", "sequence 3", "Next: vian verify"):
+    for part in ("brno-2/gate/track_point", "sequence 3", "then vian station new-epoch"):
         assert part in str(step.error)
     assert re_imaged.stream_head(stream_of()).chain_hash.hex() in str(step.error)
     assert station_log.stream_head(stream_of()).chain_hash.hex() in str(step.error)
@@ -247,7 +274,12 @@ def test_a_station_with_another_history_is_stopped_with_both_hashes(
     [([2], "no segment ends there"), ([2, 2], "no segment ends there"), ([1, 2, 1], "the chain hash here is")],
 )
 def test_another_history_is_found_wherever_central_stands(
-    counts: list[int], here: str, station_log: Log, make_log: type[Log], make_daemon: MakeDaemon
+    counts: list[int],
+    here: str,
+    station_log: Log,
+    central_log: Log,
+    make_log: type[Log],
+    make_daemon: MakeDaemon,
 ) -> None:
     append_points(station_log, stream_of(), [3])
     make_daemon().catch_up()
@@ -257,6 +289,10 @@ def test_another_history_is_found_wherever_central_stands(
     with pytest.raises(HeadsDisagree, match=here) as raised:
         make_daemon(log=re_imaged).catch_up()
     assert raised.value.sequence == 3
+    there = end_of(central_log.runs(stream_of(), epoch=1))
+    with pytest.raises(HeadsDisagree, match=here):
+        check_history(re_imaged, re_imaged.stream_head(stream_of()), there)
+    check_history(station_log, station_log.stream_head(stream_of()), there)
 
 
 @pytest.mark.parametrize(

@@ -79,7 +79,8 @@ def enrol(central: Log, settings: Settings, address: str, pem: str | None = None
     until = utc_now() + timedelta(hours=1)
     access_for(central, settings).registry.invite(station_name("brno"), secret, ["replicate"], ["brno"], until)
     pinned = pem or own_certificate(CENTRAL_DIR).certificate.read_text()
-    save_membership(here, enrol_at(httpx.URL(address), pinned, secret, station_name("brno"), station_key(here)))
+    joined = enrol_at(httpx.URL(address), pinned, secret, station_name("brno"), station_key(here))
+    save_membership(here, joined.membership)
 
 
 def sync(run: Run, station: Log, *options: object) -> Ran:

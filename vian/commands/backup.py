@@ -1,7 +1,5 @@
 """`vian backup`, `vian restore`: a copy of the log elsewhere, and the way back."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
 
@@ -9,15 +7,12 @@ import typer
 
 from events import CheckpointSigned, load_catalogue
 from store import BadProof, Log, Restore, back_up, note_restored, restore, verify_restored
-from store.embedded import EmbeddedServer
 from store.keys import copy_public
 from store.restoring import usable_manifest
-from store.schema import migrate
 from vian import options
 from vian.errors import WorldFailed
-from vian.options import opened, settings_for
+from vian.options import bare_database, opened, settings_for
 from vian.output import Output
-from vian.settings import Settings
 from vian.signatures import KEY_NAME, key_path
 
 
@@ -77,7 +72,7 @@ def restore_log(
     output = Output(is_json=as_json)
     manifest = usable_manifest(source)
     total = manifest.position
-    with _database(settings, data_dir) as (address, server):
+    with bare_database(settings, data_dir=data_dir) as (address, server):
         with output.progress("positions restored", total) as bar:
             restored = restore(address, source, on_segment=lambda segment: bar.at(segment.position))
         with output.progress("positions verified", total) as bar, Log(address, load_catalogue(), server) as log:
@@ -118,22 +113,6 @@ def _words_on_keys(brought: list[str], path: Path) -> str:
     came = f"Public keys that came with it, to be compared with those you noted: {', '.join(brought)}. "
     old = f"The key that signs is in no backup: copy the old station.key to {path}, and public-keys/ beside it. "
     return (came if brought else "") + ("" if path.exists() else old)
-
-
-@contextmanager
-def _database(settings: Settings, data_dir: Path | None) -> Iterator[tuple[str, EmbeddedServer | None]]:
-    """The migrated database, with nobody connected to it."""
-    if settings.dsn is not None and data_dir is None:
-        address = settings.dsn.get_secret_value()
-        migrate(address, load_catalogue())
-        yield address, None
-        return
-    server = EmbeddedServer(settings.data_dir.expanduser().resolve())
-    try:
-        migrate(server.dsn, load_catalogue())
-        yield server.dsn, server
-    finally:
-        server.close()
 
 
 def _note(output: Output, source: Path, restored: Restore, is_verified: bool) -> None:

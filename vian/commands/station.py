@@ -1,6 +1,7 @@
 """`vian station`: which stations may speak to this central server, and which central this station belongs to."""
 
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -8,15 +9,19 @@ import typer
 
 from events import station_name
 from store import make_key
+from store.epochs import begin_epoch
 from sync.central.access import EVERY_STATION, FIND, OPERATIONS, REPLICATE
 from sync.protocol.enrolment import parse_code
 from vian import options
 from vian.admission import invited, registry_for
+from vian.clock import utc_now
 from vian.enrolling import enrol_at
+from vian.epochs import disagreements, greet, settle_epoch
 from vian.errors import WrongUsage
 from vian.membership import check_address, load_membership, membership_path, save_membership
-from vian.options import opened, settings_for
-from vian.output import Output
+from vian.options import bare_database, opened, settings_for
+from vian.output import Output, counted
+from vian.replication import peer_of
 from vian.signatures import key_path
 from vian.stations import add_station, read_grants, remove_station
 from vian.tls import fetched_certificate
@@ -137,18 +142,26 @@ def enrol(
     key_file: options.KeyFile = None,
     station: options.Station = None,
     data_dir: options.DataDir = None,
+    dsn: options.Dsn = None,
     as_json: options.Json = False,
 ) -> None:
-    """On a station: join a central server by its one-time code; vian sync and vian serve then use it."""
-    settings = settings_for(data_dir, station=station, central=central, key_file=key_file)
+    """On a station: join a central server by its one-time code; vian sync and vian serve then use it.
+
+    An empty log of a station of which central holds events begins a new epoch.
+    """
+    settings = settings_for(data_dir, dsn, station=station, central=central, key_file=key_file)
     if settings.central is None:
         raise WrongUsage("which central? Next: give --central https://CENTRAL:8470")
     parsed, url = parse_code(code), check_address(settings.central)
     pinned = None
     if parsed.pin is not None and url.scheme == "https":
         pinned = fetched_certificate(url.host, url.port or 443, parsed.pin)
-    joined = enrol_at(url, pinned, parsed.secret, station_name(settings.station), make_key(key_path(settings)))
+    taken_in = enrol_at(url, pinned, parsed.secret, station_name(settings.station), make_key(key_path(settings)))
+    joined = taken_in.membership
     path = save_membership(settings, joined)
+    epoch, said = settle_epoch(
+        partial(bare_database, settings, data_dir=data_dir), station_name(settings.station), taken_in.epoch
+    )
     Output(is_json=as_json).result(
         {
             "station": joined.station,
@@ -157,9 +170,46 @@ def enrol(
             "operations": list(joined.operations),
             "reads": list(joined.reads),
             "file": str(path),
+            "epoch": epoch,
         },
-        f"station {joined.station} belongs to central {joined.central} at {joined.address}. "
+        f"station {joined.station} belongs to central {joined.central} at {joined.address}. {said}"
         f"Next: vian sync --station {joined.station}",
+    )
+
+
+@app.command(epilog="Example: vian station new-epoch")
+def new_epoch(
+    key_file: options.KeyFile = None,
+    station: options.Station = None,
+    data_dir: options.DataDir = None,
+    dsn: options.Dsn = None,
+    as_json: options.Json = False,
+) -> None:
+    """On a station: go on in a new epoch, where central holds events that this log never had; both histories stay."""
+    settings = settings_for(data_dir, dsn, station=station, key_file=key_file)
+    name = station_name(settings.station)
+    peer = peer_of(settings)
+    if peer is None:
+        raise WrongUsage(
+            "this station belongs to no central. Next: vian station enrol CODE --central https://CENTRAL:8470"
+        )
+    with opened(settings, data_dir=data_dir, is_made=True) as log:
+        before = log.epoch
+        cursors = greet(log, name, peer, utc_now()).cursors
+        found = disagreements(log, name, cursors)
+    if all(each.is_past for each in found):
+        raise WrongUsage(
+            f"what central holds of {name} is of this log, which is in epoch {before}: it needs no new epoch. "
+            "Next: vian sync doctor"
+        )
+    epoch = 1 + max(before, *(cursor.epoch for cursor in cursors))
+    with bare_database(settings, data_dir=data_dir) as (address, _):
+        begin_epoch(address, epoch)
+    Output(is_json=as_json).result(
+        {"station": name, "epoch": epoch, "before": before, "streams": [str(each.stream) for each in found]},
+        f"station {name} goes on in epoch {epoch}; nothing of epoch {before} is lost here or at central. Where the two "
+        f"differ, {counted(len(found), 'stream')}, each keeps its own. "
+        f"Next: vian sync doctor, then vian serve or vian sync --station {name}",
     )
 
 

@@ -23,7 +23,7 @@ from vian.output import Output, laid_out, printable, to_json
 from vian.replication import load_plan
 from vian.settings import Settings
 from vian.spans import size_text, span
-from vian.sync_view import StationView, station_view
+from vian.sync_view import StationView, StreamView, station_view
 
 _WATCH_SECONDS = 2.0
 _LATE_S = 3600.0
@@ -143,7 +143,7 @@ def _station(view: StationView, late_s: float) -> _Shown:
             size_text(each.bytes) if each.is_exact else f"about {size_text(each.bytes)}",
             span(each.lag_s) if each.events else "",
             "" if not each.events else "unknown" if each.eta_s is None else span(each.eta_s),
-            "stopped" if each.why_stopped else "behind" if each.events else "caught up",
+            _stream_state(each),
         )
         for each in view.streams
     )
@@ -153,6 +153,12 @@ def _station(view: StationView, late_s: float) -> _Shown:
         tuple(_station_lines(view)), columns, rows, (*stopped, *notes), tuple(_station_data(view)),
         tuple(_station_late(view, late_s)),
     )  # fmt: skip
+
+
+def _stream_state(stream: StreamView) -> str:
+    if stream.why_stopped:
+        return "stopped"
+    return "stays here" if stream.is_apart else "behind" if stream.events else "caught up"
 
 
 def _station_lines(view: StationView) -> Iterator[str]:

@@ -181,7 +181,7 @@ def _membership(access: Access, address: str) -> Membership:
     if found is None or found.key_id != _KEY.id:
         secret = new_secret()
         access.registry.invite(name, secret, [REPLICATE], [], CLIP_START + timedelta(minutes=5))
-        return enrol_at(httpx.URL(address), None, secret, name, _KEY)
+        return enrol_at(httpx.URL(address), None, secret, name, _KEY).membership
     central = access.registry.central
     return Membership(address=address, station=name, central=central, public_key=_CENTRAL_KEY.public.hex())
 
