@@ -13,7 +13,8 @@ from typing import Any
 
 from benchmarks.sync_servers import membership
 from store import load_key, open_log
-from vian.replication import load_plan, peer_by_membership, station_daemon
+from vian.peers import peer_by_membership
+from vian.replication import load_plan, station_daemon
 from vian.signatures import KEY_NAME
 
 

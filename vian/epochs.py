@@ -19,7 +19,7 @@ from sync.protocol.wire import STREAMS_MAX, Cursor, HelloAnswer
 from sync.runs import StreamKey, end_of
 from sync.station.client import Greeting
 from sync.station.outbox import check_history
-from vian.replication import Peer
+from vian.peers import Peer
 from vian.tls import AGAIN, station_context
 
 CONNECT_SECONDS = 10.0

@@ -25,7 +25,8 @@ from vian.errors import VianError
 from vian.findings import Finding, Verdict
 from vian.log_checks import check_clock, check_horizon
 from vian.membership import Membership, load_membership
-from vian.replication import Peer, load_plan, peer_of
+from vian.peers import Peer, peer_of
+from vian.replication import load_plan
 from vian.settings import Settings
 from vian.signatures import key_path
 from vian.spans import span

@@ -16,7 +16,6 @@ started again, and the others go on. A segment whose payload was pruned stops it
 goes on by itself; one that was given up is passed over, for the log says so and nothing brings it back.
 """
 
-import struct
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
@@ -32,6 +31,7 @@ from sync.errors import FilterFailed, PlanError
 from sync.plans.awaiting import Missing, Waiting, missing
 from sync.plans.entries import Entry, base_of, derived_name
 from sync.plans.filtering import Sieve, database, joined
+from sync.plans.marks import mark_state
 from sync.plans.plan import Plan
 from sync.plans.planning import Planned, plan_stream, planned_in
 
@@ -47,7 +47,6 @@ SEGMENT_EVENTS, SEGMENT_BYTES = 1_000, 2**20
 UNSAVED_POSITIONS = 20_000
 """Positions that may be passed over without output before the checkpoint is saved; a restart reads them again."""
 
-_MARK = struct.Struct(">Q32s")
 _UNKNOWN = -1
 _BEGIN = Checkpoint(0, b"")
 
@@ -388,16 +387,6 @@ class DerivingChore:
             return True
         self._deriver.check()
         return False
-
-
-def mark_state(sequence: int, chain_hash: bytes) -> bytes:
-    """The state of a checkpoint that says up to where its derived stream was made of what was old already."""
-    return _MARK.pack(sequence, chain_hash)
-
-
-def mark_in(state: bytes) -> tuple[int, bytes] | None:
-    """The sequence and the chain hash there that a state says; None while all that is made is old."""
-    return _MARK.unpack(state) if state else None
 
 
 def _checkpoint(stream: StreamName) -> str:

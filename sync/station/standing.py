@@ -11,7 +11,7 @@ from events import Station, StreamName
 from store import Log, StreamHead
 from store.reading import DERIVE
 from sync.errors import PlanError, StreamStopped
-from sync.plans.deriving import mark_in
+from sync.plans.marks import mark_in
 from sync.plans.plan import Entry, Plan
 from sync.protocol.wire import STREAMS_MAX
 from sync.runs import BEGINNING, Point, Runs, StreamKey, end_of, gaps_of, with_range

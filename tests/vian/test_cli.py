@@ -53,7 +53,7 @@ def test_the_commands_are_those_that_there_should_be() -> None:
         "rules check", "rules deploy", "rules expand", "rules explain", "rules flink", "rules lint", "rules new",
         "rules profile", "rules retire", "rules run", "rules status", "rules test", "rules why-not", "serve", "shell",
         "sign", "stages check", "stages run", "station add", "station enrol", "station invite",
-        "station leave", "station list", "station revoke", "streams", "sync", "sync doctor",
+        "station leave", "station list", "station new-epoch", "station revoke", "streams", "sync", "sync doctor",
         "sync plan pause", "sync plan preview",
         "sync plan resume", "sync plan set", "sync plan show", "sync repair", "sync status",
         "tail", "upgrade", "verify",

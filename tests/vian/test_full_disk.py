@@ -17,7 +17,8 @@ from tests.store.samples import NOON, PRODUCER, point, query
 from tests.vian.test_rules import write_rule
 from vian.api import bind, create_app, serving
 from vian.parts import Parts, stepping
-from vian.replication import load_plan, peer_by_token, station_daemon, sync_part
+from vian.peers import peer_by_token
+from vian.replication import load_plan, station_daemon, sync_part
 from vian.watching import processor_part
 
 GATE = StreamName.of("brno", "gate", "track_point")

@@ -15,7 +15,8 @@ from vian.api import bind, create_app, serving
 from vian.clock import utc_now
 from vian.errors import WrongUsage
 from vian.membership import Membership, save_membership
-from vian.replication import PACE, Telling, load_plan, pace_of, peer_by_token, peer_of, station_daemon
+from vian.peers import peer_by_token, peer_of
+from vian.replication import PACE, Telling, load_plan, pace_of, station_daemon
 from vian.settings import Settings, load_settings
 from vian.stations import add_station, read_grants
 

@@ -33,10 +33,11 @@ from vian.metrics import Metrics, Watched
 from vian.options import opened, settings_for
 from vian.output import Output
 from vian.parts import Part, Parts, stepping
+from vian.peers import peer_of
 from vian.precedence import Precedence
 from vian.pruning import disk_part
 from vian.questions import answering_for
-from vian.replication import pace_of, peer_of, plan_at_start, station_daemon, sync_part
+from vian.replication import pace_of, plan_at_start, station_daemon, sync_part
 from vian.rows import upkeep_part
 from vian.rules import limits_of
 from vian.settings import Settings

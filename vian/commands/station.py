@@ -21,7 +21,7 @@ from vian.errors import WrongUsage
 from vian.membership import check_address, load_membership, membership_path, save_membership
 from vian.options import bare_database, opened, settings_for
 from vian.output import Output, counted
-from vian.replication import peer_of
+from vian.peers import peer_of
 from vian.signatures import key_path
 from vian.stations import add_station, read_grants, remove_station
 from vian.tls import fetched_certificate

@@ -17,8 +17,9 @@ from vian.errors import WorldFailed, WrongUsage
 from vian.options import opened, settings_for
 from vian.output import Output
 from vian.parts import Parts
+from vian.peers import peer_of
 from vian.pruning import disk_part
-from vian.replication import pace_of, peer_of, plan_at_start, station_daemon, sync_part
+from vian.replication import pace_of, plan_at_start, station_daemon, sync_part
 from vian.tls import AGAIN
 
 app = typer.Typer(help="Replicate this station's chosen streams to central, and choose them.")

@@ -37,8 +37,9 @@ from vian.extraction import Extraction, Job, extract_motion, media_clock
 from vian.membership import Membership
 from vian.output import Output
 from vian.parts import Parts, stepping
+from vian.peers import peer_by_membership
 from vian.querying import query
-from vian.replication import load_plan, peer_by_membership, station_daemon, sync_part
+from vian.replication import load_plan, station_daemon, sync_part
 from vian.rules import file_text
 
 STATION = "demo"
