@@ -132,7 +132,7 @@ def drained(folder: Path, rounds: int, segments: int) -> Iterator[Row | Figure]:
     with_rows = [(each.events / each.rows_s, each.events / each.replication.seconds) for each in found]
     yield _row("the same, and rows of it at central", "events/s", with_rows, _REPLICATION, None)
     yield beside("the log's own append, same groups", lambda each: each.grouped_s, 0.5)
-    yield beside("the log's own append, one by one", lambda each: each.single_s, None)
+    yield beside("the log's own append, one by one", lambda each: each.single_s, 0.5)
     for what, cpu_s in _COSTS.items():
         costs = [(1e6 * cpu_s(each) / each.events, 1e6 * each.replication.cpu_s / each.events) for each in found]
         yield _row(f"{what}, a million events", "s", costs, f"{_REPLICATION}, both ends", None)
@@ -213,7 +213,7 @@ def tuned_log(data_dir: Path) -> Iterator[Log]:
         yield log
 
 
-def wait_until(is_so: Callable[[], bool]) -> None:
+def wait_until(is_so: Callable[[], bool], every_s: float = _LOOK_SECONDS) -> None:
     """Look again and again until it is so."""
     while not is_so():
-        time.sleep(_LOOK_SECONDS)
+        time.sleep(every_s)

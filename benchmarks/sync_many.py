@@ -31,8 +31,7 @@ _CAMERAS = 5
 _WARMING_SEGMENTS = 40
 """that each station sends before"""
 _MB = 2**20
-_LOOK_SECONDS = 1.0
-"""Between two looks at memory: each reads the maps of all of PostgreSQL's processes."""
+_LOOK_SECONDS = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +43,7 @@ class _Run:
     """when the first station was done, of when the last was"""
     memory_bytes: int
     postgres_bytes: int
+    """when all had come: to look at it takes long"""
     central: Cost
     stations_s: float
     """CPU seconds of the stations' programs"""
@@ -58,11 +58,12 @@ def many(folder: Path, rounds: int, segments: int) -> Iterator[Row | Figure]:
         logs = [stack.enter_context(tuned_log(folder / log_name(number))) for number in range(_PROCESSES)]
         enrol(folder, ["alone", *names])
         server = stack.enter_context(central_server(link, folder))
-        runs = []
-        for number in range(rounds):
+        runs = list[tuple[_Run, _Run]]()
+        for number in range(rounds + 1):
             one = _run(link, folder, (central, server), [(logs[0], ["alone"])], number, segments)
             groups = [(log, names[first::_PROCESSES]) for first, log in enumerate(logs)]
             runs.append((_run(link, folder, (central, server), groups, number, segments // STATIONS), one))
+    runs = runs[1:]  # in the first one everything is new
     pairs = [(all_of_them.events_per_s, one.events_per_s) for all_of_them, one in runs]
     ours, reference = (statistics.median(side) for side in zip(*pairs, strict=True))
     ratio = statistics.median(mine / other for mine, other in pairs)
@@ -96,15 +97,16 @@ def _run(link: Link, folder: Path, ends: tuple[Log, Program], groups: Groups, nu
     with _ready(link, folder, groups) as (begin, cpu_s):
         _fill(groups, 2 * number + 1, segments)
         wait_until(lambda: central.checkpoint(PROJECTOR).position >= central.head())  # rows of what came before
-        first, memory = central.head() + 1, _Memory(server, folder / "central" / "pg")
+        first, memory = central.head() + 1, _Memory(server)
         before, stations_before, began = server.cost(), cpu_s(), time.perf_counter()
         begin()
-        wait_until(lambda: memory.is_looked_at() and central.head() >= first + stations * segments - 1)
+        wait_until(lambda: memory.is_looked_at() and central.head() >= first + stations * segments - 1, 0.02)
         seconds, cost, stations_s = time.perf_counter() - began, server.cost().since(before), cpu_s() - stations_before
+    postgres_bytes = postgres_memory_bytes(folder / "central" / "pg")
     times = _times(central, first)
     events = stations * segments * SEGMENT_EVENTS
     fairness = min(times) / max(times)
-    return _Run(events / seconds, fairness, memory.program, memory.postgres, cost, stations_s)
+    return _Run(events / seconds, fairness, memory.program, postgres_bytes, cost, stations_s)
 
 
 def _fill(groups: Groups, number: int, segments: int) -> None:
@@ -117,16 +119,15 @@ def _fill(groups: Groups, number: int, segments: int) -> None:
 class _Memory:
     """The most that central took whenever it was looked at."""
 
-    def __init__(self, server: Program, pgdata: Path) -> None:
-        self._server, self._pgdata = server, pgdata
+    def __init__(self, server: Program) -> None:
+        self._server = server
         self._next = 0.0
-        self.program, self.postgres = 0, 0
+        self.program = 0
 
     def is_looked_at(self) -> bool:
         """True; looks now and then."""
         if time.monotonic() > self._next:
             self.program = max(self.program, self._server.memory_bytes())
-            self.postgres = max(self.postgres, postgres_memory_bytes(self._pgdata))
             self._next = time.monotonic() + _LOOK_SECONDS
         return True
 

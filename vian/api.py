@@ -31,8 +31,8 @@ from vian.version import VERSION
 logger = structlog.get_logger()
 
 _START_SECONDS_MAX = 15.0
-KEEP_ALIVE_S = 10
-"""Longer than the 5 s for which httpx, a station's HTTP, uses a connection again: else a request meets its end."""
+KEEP_ALIVE_S = 20
+"""Longer than a station keeps a connection (`sync.station.rotation.REST_S`): else a request meets its end."""
 _TLS_BUFFER_BYTES = 64 * 1024
 """Of each connection, twice: asyncio takes four times as much, which a hundred stations make 80 MB of."""
 _END_SECONDS_MAX = 5

@@ -18,7 +18,7 @@ _FAST_SECONDS = 0.1
 """Requests that are answered within this need not be kept apart."""
 _LOOK_SECONDS = (0.02, 0.2)
 """Least and longest wait for an answer before the log is looked at again."""
-_LOOK_SHARE = 0.25
+_LOOK_SHARE = 0.5
 """That wait, of the time since the last launch: a request that takes long is no reason to look often."""
 
 

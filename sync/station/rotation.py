@@ -14,6 +14,8 @@ import httpx
 
 CONNECTIONS = 3
 """Two that carry a backlog, and one that is free for what is live."""
+REST_S = 15.0
+"""How long an unused connection is kept, in seconds: less than central keeps it, and than routers forget it."""
 
 
 def take_turns(client: httpx.Client, verify: ssl.SSLContext) -> None:
@@ -25,7 +27,9 @@ def take_turns(client: httpx.Client, verify: ssl.SSLContext) -> None:
     """
     client._transport.close()
     # httpx asks the environment for proxies only where it makes the direct transport itself.
-    client._transport = Rotation(lambda: httpx.HTTPTransport(verify=verify))
+    client._transport = Rotation(
+        lambda: httpx.HTTPTransport(verify=verify, limits=httpx.Limits(keepalive_expiry=REST_S))
+    )
 
 
 class Rotation(httpx.BaseTransport):

@@ -8,7 +8,7 @@ import pytest
 
 from sync.protocol.wire import SegmentsAnswer
 from sync.station.client import Link
-from sync.station.flights import Flights
+from sync.station.flights import Flights, Landed
 from sync.station.outbox import Parcel
 
 NOTHING = Parcel((), ())
@@ -78,3 +78,10 @@ def test_two_requests_on_a_slow_link_begin_apart(central: Hanging) -> None:
     assert flights.is_apart(took_s=0.01), "a fast link needs no distance"
     clock.now += 0.31
     assert flights.is_apart(took_s=0.6)
+
+
+def test_what_central_took_itself_is_not_the_way() -> None:
+    answer = SegmentsAnswer(cursors=(), stored=0, duplicates=0, took_s=2.0)
+    assert Landed(NOTHING, 2.5, answer).way_s == 0.5
+    assert Landed(NOTHING, 1.0, answer).way_s == 0.0, "clocks may differ a little"
+    assert Landed(NOTHING, 2.5, TimeoutError()).way_s == 2.5

@@ -1,10 +1,17 @@
 """Room for bodies at central: who waits, who does not, and that nothing is kept of what has gone."""
 
 import asyncio
+import time
 from contextlib import AsyncExitStack
 
+import httpx
+
 from events import station_name
+from store import Log
 from sync.central.room import Room
+from sync.protocol.wire import Record
+from sync.station.client import Greeting
+from tests.sync.conftest import BRNO, NOON, append_points, signed_link, stream_of
 
 A, B, C = map(station_name, ("a", "b", "c"))
 
@@ -70,3 +77,14 @@ def test_who_gives_up_waiting_leaves_nothing() -> None:
         assert not room._taken
 
     asyncio.run(scene())
+
+
+def test_central_says_what_it_took_itself(central: str, station_log: Log) -> None:
+    append_points(station_log, stream_of(), [3])
+    (segment,) = station_log.read(stream_of())
+    with httpx.Client(base_url=central) as client:
+        link = signed_link(client)
+        link.hello(Greeting(BRNO, 1, NOON, (), None, None))
+        began = time.monotonic()
+        answer = link.send([Record(segment, bytes(32), begins_run=False)])
+        assert 0 < answer.took_s < time.monotonic() - began
