@@ -30,6 +30,7 @@ from sync.errors import (
     Refused,
     SegmentRefused,
     StreamStopped,
+    SyncError,
 )
 from sync.keeping.countersigning import Countersigning
 from sync.keeping.gone import GoneRecorder
@@ -191,13 +192,17 @@ class Daemon:
             pause: Waits so many seconds, where a cap on the rate wants it.
 
         Raises:
-            SyncError: A step failed or a stream was stopped; what was acknowledged stays at central.
+            SyncError: A step failed, or a stream was stopped and the others are sent; what was acknowledged stays at
+                central.
             LogUnavailable: The station's database is away.
         """
         events, is_looked_over = 0, False
+        stopped: SyncError | LogUnavailable | None = None
         while True:
             step = self.step()
-            if step.error is not None:
+            if step.did == "stopped":
+                stopped = stopped or step.error
+            elif step.error is not None:
                 raise step.error
             events += step.events
             if step.did != "nothing":
@@ -206,6 +211,8 @@ class Daemon:
                 pause(step.sleep_s)
                 continue
             if is_looked_over:
+                if stopped is not None:
+                    raise stopped
                 return events
             self._countersigning.look_again()  # What was too early a moment ago may be due, and nobody comes later.
             is_looked_over = True
