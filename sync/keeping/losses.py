@@ -124,10 +124,11 @@ class DiskWatch:
     def _give_up(self, now: datetime) -> bool:
         """Take off the next lot; whether there may be another."""
         policy = self._policy()
+        if self._search is None and self._searched_at is not None and now - self._searched_at < _LOOK_AGAIN:
+            return False
+        if self._proof.look():
+            self._search = None  # a search may last for days, and central may have lost meanwhile what it held
         if self._search is None:
-            if self._searched_at is not None and now - self._searched_at < _LOOK_AGAIN:
-                return False
-            self._proof.look()
             self._awaited = awaited(self._log, self._station)
             self._search = self._lots(policy, now)
         found = next(self._search, None)

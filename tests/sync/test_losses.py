@@ -23,6 +23,7 @@ from events import (
 )
 from store import DiskNearlyFull, Log, Projector, open_log, verify
 from store.room import Room
+from sync.keeping.countersigning import VOID
 from sync.keeping.losses import DiskWatch
 from sync.keeping.pruning import Proof
 from sync.plans.deriving import Deriver
@@ -106,6 +107,25 @@ def test_what_central_holds_goes_first_and_is_no_loss(log: Log, monkeypatch: pyt
     assert (first.lost_from_at, first.lost_until_at) == (NOON + timedelta(seconds=0.04), NOON + timedelta(seconds=0.2))
     found = verify(log, station="brno")
     assert (found.is_sound, found.hollow) == (True, 4)
+
+
+def test_what_central_lost_while_the_disk_stays_low_is_recorded_as_lost(
+    log: Log, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sync.keeping.losses.SEGMENTS_MAX", 1)
+    disk = Disk(log)
+    append(log, GATE, 3, 3, 3)
+    countersign(log, (GATE, 9))
+    disk.free_mib = 40
+    disk_watch = watch(log, give_up("*/gate/*"))
+    while not pruned_of(log):
+        assert disk_watch.step(NOW)
+    position = log.head()
+    with log.transaction() as transaction:
+        transaction.save_checkpoint(VOID, position)
+    work(disk_watch)
+    assert pruned_of(log) == [(str(GATE), 1, 3, 1)]
+    assert [(each.first_sequence, each.last_sequence) for each in losses(log)] == [(4, 6), (7, 9)]
 
 
 def test_what_happened_too_recently_and_what_no_entry_names_stays_and_then_recording_stops(log: Log) -> None:
