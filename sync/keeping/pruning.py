@@ -160,6 +160,15 @@ def _agreed(log: Log, event: CheckpointCountersigned) -> Iterator[tuple[Place, H
             yield (head.stream, head.epoch), held
 
 
+@dataclass(frozen=True, slots=True)
+class _Pending:
+    """A sealed file that is still to be looked at below the newest checkpoint."""
+
+    file: SealedFile
+    may_go: frozenset[tuple[Place, int]]
+    """which of its streams could go, and behind which sequence"""
+
+
 class Pruner:
     """Takes payloads off a station's log that central holds and that are old. Not for several threads at once."""
 
@@ -179,10 +188,9 @@ class Pruner:
         self._awaited: Awaited = {}
         self._position = 0
         self._to_reclaim = 0
-        self._files: list[SealedFile] = []
-        """sealed files that are still to be looked at below the newest checkpoint"""
+        self._files: list[_Pending] = []
         self._files_seen: dict[int, frozenset[tuple[Place, int]]] = {}
-        """which streams of each sealed file could go, and behind which sequence, by the file's first position"""
+        """what could go of each sealed file when it was looked at last, by the file's first position"""
 
     def step(self, now: datetime) -> bool:
         """Take off a bounded lot of what may go; whether there may be more.
@@ -209,8 +217,8 @@ class Pruner:
         while (lot := self._next(now)) is not None:
             chosen += lot
         self._position = position
-        for file in self._files:
-            chosen += self._chosen(Resealer(self._log, file).weights())
+        for pending in self._files:
+            chosen += self._chosen(Resealer(self._log, pending.file).weights())
         return spans_of(chosen)
 
     def _next(self, now: datetime) -> list[Weight] | None:
@@ -231,12 +239,13 @@ class Pruner:
         """Take off the next sealed file what may go of it; whether there may be another."""
         if not self._files:
             return False
-        file = self._files.pop(0)
+        pending = self._files.pop(0)
         try:
-            self._prune_file(file, now)
+            self._prune_file(pending.file, now)
         except BaseException:
-            self._files.append(file)  # it is tried again, behind the others
+            self._files.append(pending)  # it is tried again, behind the others
             raise
+        self._files_seen[pending.file.first_position] = pending.may_go
         return True
 
     def _prune_file(self, file: SealedFile, now: datetime) -> None:
@@ -251,7 +260,7 @@ class Pruner:
 
             resealer.take_off({each.position for each in chosen}, record)
 
-    def _old_files(self, now: datetime) -> Iterator[SealedFile]:
+    def _old_files(self, now: datetime) -> Iterator[_Pending]:
         """The sealed files that are old enough and of which more may go than when they were looked at last."""
         for file in self._log.archive.files() if self._proof.held.ranges else ():
             if file.sealed_at >= now - self._after:
@@ -265,8 +274,7 @@ class Pruner:
                 and not self._is_awaited(each.stream, file.last_position)
             )
             if may_go - self._files_seen.get(file.first_position, frozenset()):
-                self._files_seen[file.first_position] = may_go
-                yield file
+                yield _Pending(file, may_go)
 
     def _chosen(self, given: Iterable[Weight]) -> list[Weight]:
         return [

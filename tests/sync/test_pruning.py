@@ -15,6 +15,7 @@ from store.coldtier import ArchiveHead
 from store.locks import ARCHIVE, tried_lock
 from store.payloads import take_off
 from store.resealing import Resealer
+from sync.keeping.countersigning import VOID
 from sync.keeping.pruning import Pruner
 from sync.plans.deriving import Deriver
 from sync.plans.plan import Plan
@@ -191,6 +192,29 @@ def test_of_sealed_files_what_central_holds_goes_too(log: Log, tmp_path: Path) -
     run(pruner)
     assert whole(log, YARD) == [False] * 2
     assert verify(log, station="brno").is_sound
+
+
+@pytest.mark.parametrize("between", ["a newer signature", "central lost it for a while"])
+def test_sealed_files_that_wait_are_not_forgotten_when_what_is_signed_changes(
+    log: Log, tmp_path: Path, between: str
+) -> None:
+    append(log, GATE, *[5] * 8)
+    seal_all(log, tmp_path, file_bytes=2_000)
+    assert len(log.archive.files()) > 1
+    countersign(log, (GATE, 40))
+    pruner = Pruner(log, BRNO, DAYS_30, signed)
+    while all(whole(log, GATE)):
+        assert pruner.step(LATER)
+    assert any(whole(log, GATE))
+    if between == "central lost it for a while":
+        position = log.head()
+        with log.transaction() as transaction:
+            transaction.save_checkpoint(VOID, position)
+        run(pruner)
+        assert any(whole(log, GATE))
+    countersign(log, (GATE, 40))
+    run(pruner)
+    assert not any(whole(log, GATE))
 
 
 def test_who_reads_a_sealed_file_while_it_is_written_anew_goes_on(log: Log, tmp_path: Path) -> None:
