@@ -11,10 +11,11 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 
-from events import LossRecorded, Segment, Station, StreamName, decode, events_of
-from store import Log
-from store.absence import recorded, without
+from events import EventError, LossRecorded, Segment, Station, StreamName, decode, events_of
+from store import ChainBroken, Log
+from store.absence import Absence, recorded, without
 from store.payloads import Weight
+from sync.errors import Damaged
 from sync.keeping.pruning import Span, record_of, spans_of
 
 REASON = "it was pruned here when central held it, and was sent once more because central lacks it"
@@ -45,18 +46,27 @@ class GoneRecorder:
         """What of the segments is gone for good, recorded unless it was before.
 
         Raises:
+            Damaged: What is recorded so far cannot be read; whether it is known stays open, and it must not be sent.
             LogUnavailable: The database is away.
         """
         # A loss names no epoch, so of an earlier life of the log nothing can be said.
         hollow = [each for each in segments if not each.has_payload and each.header.epoch == self._log.epoch]
         if not hollow:
             return []
-        known = recorded(self._log, {each.stream for each in hollow}, self._station)
+        known = self._recorded(hollow)
         spans = spans_of(_weight(each) for each in hollow if not known.is_lost(each))
         if spans:
             events = [_loss(span, self._now()) for span in spans]
             self._log.append([record_of(self._station, events)], from_reserve=True)
         return [Gone(each.stream, each.epoch, each.first_sequence, each.last_sequence) for each in spans]
+
+    def _recorded(self, hollow: Sequence[Segment]) -> Absence:
+        try:
+            return recorded(self._log, {each.stream for each in hollow}, self._station)
+        except (EventError, ChainBroken) as error:
+            header = hollow[0].header
+            reason = f"its payload left the disk, and what is recorded of that cannot be read: {error}"
+            raise Damaged(header.stream, header.epoch, header.first_sequence, reason) from error
 
 
 def gone_in(log: Log, own: Station | None, station: Station | None = None) -> list[Gone]:

@@ -24,7 +24,7 @@ from duckdb import DuckDBPyConnection
 
 from events import Draft, EventBatch, EventError, EventType, Position, Producer, Segment, Station, StreamName, decode
 from events.segment import draft_of, encode_payload
-from store import Checkpoint, Log, StreamHead
+from store import ChainBroken, Checkpoint, Log, StreamHead
 from store.absence import Absence, recorded
 from store.reading import DERIVE, Filter
 from sync.errors import FilterFailed, PlanError
@@ -189,8 +189,13 @@ class Deriver:
     def _heed_repairs(self) -> None:
         """Go on with the streams for which a payload that was gone is back, or is given up."""
         for name, position in list(self._gone.items()):
-            (segment,) = self._log.page(position, position, Filter(with_hollow=True), 1)
-            if segment.has_payload or self._is_given_up(segment):
+            try:
+                (segment,) = self._log.page(position, position, Filter(with_hollow=True), 1)
+                goes_on = segment.has_payload or self._is_given_up(segment)
+            except (EventError, ChainBroken) as error:
+                self._errors[name] = _why(self._derivations[name], position, error)
+                continue
+            if goes_on:
                 del self._gone[name], self._errors[name]
 
     def _is_given_up(self, segment: Segment) -> bool:
@@ -279,16 +284,17 @@ class Deriver:
         for number, segment in enumerate(segments):
             if since is not None and segment.header.time_max < since:
                 continue
-            if not segment.has_payload:
+            try:
+                if segment.has_payload:
+                    batches.append(decode(segment, self._log.catalogue))
+                    continue
                 if self._is_given_up(segment):
                     continue  # as the log says, and central is told
-                share = self._share(derivation, segments[:number], Position(segment.position - 1))
-                return self._stopped_at_gap(share, derivation, segment)
-            try:
-                batches.append(decode(segment, self._log.catalogue))
-            except EventError as error:
+            except (EventError, ChainBroken) as error:
                 share = self._share(derivation, segments[:number], segment.position - 1)
                 return _stopped(share, derivation, segment.position, error)
+            share = self._share(derivation, segments[:number], Position(segment.position - 1))
+            return self._stopped_at_gap(share, derivation, segment)
         if not batches:
             return _Share(reached)
         sieve = self._sieve(derivation.entry, batches[0].type)
@@ -311,7 +317,11 @@ class Deriver:
                 segment.header.first_sequence,
                 segment.header.last_sequence,
             )
-            share.error = str(next(missing(self._log, {derivation.base: waiting}), here))
+            try:
+                found = next(missing(self._log, {derivation.base: waiting}), here)
+            except (EventError, ChainBroken):
+                found = here  # how far it goes cannot be read, but this one is gone
+            share.error = str(found)
             share.gone_at = segment.position
         return share
 
@@ -422,8 +432,13 @@ def _cut(batch: EventBatch) -> Iterator[EventBatch]:
 def _stopped(share: _Share, derivation: Derivation, position: Position, error: Exception) -> _Share:
     """The share, stopped before a segment unless it stopped earlier."""
     if share.error is None:
-        share.error = (
-            f"{derivation.stream} is stopped before position {position} of {derivation.base}: {error}. "
-            "Next: correct the plan, upgrade ViAn, or vian verify; then restart vian sync"
-        )
+        share.error = _why(derivation, position, error)
     return share
+
+
+def _why(derivation: Derivation, position: Position, error: Exception) -> str:
+    """Why a derived stream is stopped."""
+    return (
+        f"{derivation.stream} is stopped before position {position} of {derivation.base}: {error}. "
+        "Next: correct the plan, upgrade ViAn, or vian verify; then restart vian sync"
+    )

@@ -54,7 +54,8 @@ class Chore(Protocol):
 
         Raises:
             LogUnavailable: The database is away; it is called again later.
-            SyncError: It cannot be done now; the daemon's status says why, and it is called again later.
+            SyncError, EventError, StoreError: It cannot be done now; the daemon's status says why, and it is called
+                again later.
         """
 
 

@@ -7,6 +7,8 @@ told in the daemon's status and asked again as late; the others, and sync, go on
 from collections.abc import Sequence
 from datetime import datetime
 
+from events import EventError
+from store import LogUnavailable, StoreError
 from sync.errors import SyncError
 from sync.protocol.reports import Chore
 
@@ -39,7 +41,9 @@ class Chores:
         chore = self._busy.pop(0)
         try:
             has_more = chore.step(now)
-        except SyncError as error:
+        except LogUnavailable:
+            raise
+        except (SyncError, EventError, StoreError) as error:
             self._notes[id(chore)] = str(error)
             return True
         self._notes.pop(id(chore), None)

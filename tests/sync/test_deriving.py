@@ -8,6 +8,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
+import psycopg
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -439,6 +440,46 @@ def give_up(log: Log, position: int) -> None:
         policy="a test",
     )
     take_off_recorded(log, BRNO, [lost], [event])
+
+
+def damage_records(log: Log) -> None:
+    """Change the bytes of what is recorded of losses, past the log's guards."""
+    with psycopg.connect(log.dsn) as connection:
+        connection.execute("set session_replication_role = replica")
+        connection.execute(
+            "update segments set payload = '\\x00' "
+            "where stream_id in (select id from streams where type = 'loss_recorded')"
+        )
+
+
+def test_where_what_is_recorded_of_a_gap_cannot_be_read_that_stream_stops_alone(station_log: Log) -> None:
+    append_points(station_log, GATE, [3, 3])
+    append_points(station_log, YARD, [3])
+    made = plan(station_log, filtered("true", "*/*/track_point"))
+    give_up(station_log, 1)
+    damage_records(station_log)
+    deriver = Deriver(station_log, BRNO)
+    run(deriver)
+    assert (frames(derived(station_log, made)), frames(derived(station_log, made, YARD))) == ([], [0, 1, 2])
+    with pytest.raises(FilterFailed, match=r"is stopped before position 1 of .*loss_recorded.*Next: .*vian verify"):
+        deriver.check()
+
+
+def test_who_is_stopped_at_a_gap_stays_so_while_what_is_recorded_cannot_be_read(station_log: Log) -> None:
+    append_points(station_log, GATE, [3])
+    append_points(station_log, YARD, [3, 3])
+    made = plan(station_log, filtered("true", "*/*/track_point"))
+    (gone, *_) = weights(station_log, 0, NOW, 1)
+    take_off_held(station_log, BRNO, [gone], Proven("", {}), NOW)
+    deriver = Deriver(station_log, BRNO)
+    run(deriver)
+    give_up(station_log, 3)
+    damage_records(station_log)
+    append_points(station_log, YARD, [2])
+    run(deriver)
+    assert frames(derived(station_log, made, YARD)) == [0, 1, 2, 3, 4, 5, 6, 7]
+    with pytest.raises(FilterFailed, match=f"is stopped before position 1 of {GATE}"):
+        deriver.check()
 
 
 NOWHERE = "http://127.0.0.1:9"

@@ -4,13 +4,15 @@ import re
 from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 
+import pytest
+
 from store import Log, verify
 from store.payloads import put_back, weights
-from sync import Daemon
+from sync import Daemon, Damaged, Plan
 from sync.keeping.gone import Gone, accept, gone_in, told_at_central, told_at_station
 from sync.keeping.pruning import Proven, take_off_held
 from tests.sync.conftest import BRNO, CENTRAL, NOON, MakeDaemon, Serve, append_points, central_app, stream_of
-from tests.sync.test_deriving import give_up
+from tests.sync.test_deriving import damage_records, give_up
 
 GATE = stream_of()
 NOW = datetime.now(UTC) + timedelta(days=1)
@@ -67,6 +69,21 @@ def test_what_is_back_is_gone_no_more(
     with restored.transaction() as transaction:
         put_back(transaction, position, first.payload)
     assert gone_in(restored, CENTRAL) == [Gone(GATE, 1, 4, 5)]
+
+
+def test_where_what_is_recorded_cannot_be_read_the_stream_stops_and_the_others_go_on(
+    station_log: Log, central_log: Log, make_daemon: MakeDaemon
+) -> None:
+    append_points(station_log, GATE, [3, 2])
+    append_points(station_log, stream_of("yard"), [4])
+    give_up(station_log, 1)
+    damage_records(station_log)
+    daemon = make_daemon(plan=Plan.of({"entries": [{"stream": "*/*/track_point"}]}))
+
+    with pytest.raises(Damaged, match=f"stream {GATE} .* what is recorded of that cannot be read") as raised:
+        daemon.catch_up()
+    assert (raised.value.stream, raised.value.first_sequence) == (GATE, 1)
+    assert [(each.stream, each.sequence) for each in central_log.heads(BRNO)[1]] == [(stream_of("yard"), 4)]
 
 
 def test_what_was_given_up_is_no_surprise(station_log: Log, central_log: Log, make_daemon: MakeDaemon) -> None:
