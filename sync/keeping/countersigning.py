@@ -1,8 +1,8 @@
 """Countersigning: central signs that it holds what a station's checkpoint says.
 
 Contract: `countersign` is central's side. It signs only the heads of the checkpoint that it holds with that very chain
-hash, and from where on it holds their streams. `Countersigning` is the station's side: it asks for its newest
-checkpoint once central holds that, believes nothing but central's signature, and appends it to the station's own log.
+hash, and from where on it holds their streams with all payloads. `Countersigning` is the station's side: it asks for
+its newest checkpoint once central holds that, believes nothing but central's signature, and appends it to the station's own log.
 What is signed is laid out in `sync.keeping.countersigned`.
 """
 
@@ -28,6 +28,7 @@ from store.proof import ALGORITHM, checkpoint_of, checkpoint_stream, key_id, sta
 from sync.errors import BadAnswer, Refusal, WireError
 from sync.keeping.countersigned import Held, countersigned_bytes, held_in, held_text, is_countersigned
 from sync.keeping.held import held_of
+from sync.keeping.wholeness import Wholeness
 from sync.protocol.wire import Countersigned, CountersignRequest, parse
 from sync.runs import Point, Runs, StreamKey, are_held
 
@@ -58,7 +59,9 @@ def countersign(log: Log, station: Station, body: bytes, key: StationKey, now: d
     checkpoint = _checkpoint(log, stream, asked)
     statement = checkpoint.statement
     runs = held_of(log, station)
-    found = [_held(log, head, runs.get(StreamKey(head.stream, head.epoch), ())) for head in statement.heads]
+    wholeness = Wholeness(log, station)
+    found = [_held(log, head, runs.get(StreamKey(head.stream, head.epoch), ()), wholeness) for head in statement.heads]
+    wholeness.save()
     held = [each for each in found if each is not None and (asked.reads_bases or not each.after)]
     if not held:
         raise _not_held(statement.heads[0].stream if statement.heads else stream, asked)
@@ -97,13 +100,17 @@ def _checkpoint(log: Log, stream: StreamName, asked: CountersignRequest) -> Sign
     return checkpoint
 
 
-def _held(log: Log, head: StreamHead, runs: Runs) -> Held | None:
-    """From where on the log holds the stream up to the head, with that chain hash there; None where it does not."""
+def _held(log: Log, head: StreamHead, runs: Runs, wholeness: Wholeness) -> Held | None:
+    """From where on the log holds the stream up to the head, with that chain hash there; None where it does not.
+
+    What it holds without payload it does not vouch for: its station may have that in a backup, and nowhere else.
+    """
     run = next((run for run in runs if run.after < head.sequence <= run.sequence), None)
     if run is None:
         return None
     is_there = head.chain_hash == (run.chain_hash if run.sequence == head.sequence else _hash_at(log, head))
-    return Held(head, run.after, run.after_hash) if is_there else None
+    after = wholeness.after(StreamKey(head.stream, head.epoch), run, head.sequence) if is_there else None
+    return None if after is None or after.sequence >= head.sequence else Held(head, after.sequence, after.chain_hash)
 
 
 def _hash_at(log: Log, head: StreamHead) -> bytes | None:
@@ -172,6 +179,9 @@ class Countersigning:
         self._asked_at: float | None = None
         self._request: CountersignRequest | None = None
         self._agreed: set[Held] | None = None
+        """what central signed, and what it holds of which it signed what it would"""
+        self._there: set[Held] = set()
+        """what it held of the checkpoint when that was looked at last"""
         self.sequence: int | None = None
         """Of the newest checkpoint that central countersigned."""
 
@@ -237,7 +247,8 @@ class Countersigning:
         # Pruning is what makes room, and it waits for this.
         self._log.append([encode(self._stream, batch_of([event]), PRODUCER)], from_reserve=True)
         self.sequence = checkpoint.sequence
-        self._agreed |= _told(held_in(event.held))
+        # Of what it holds without payload it signs less than it holds: asking again would change nothing.
+        self._agreed |= _told(held_in(event.held)) | self._there
 
     def heed(self, held: Mapping[StreamKey, Runs]) -> None:
         """Let no countersignature count that says more than central says that it holds: it lost that.
@@ -308,6 +319,7 @@ class Countersigning:
             for head in wanted
             if (each := _among(held.get(StreamKey(head.stream, head.epoch), ()), head)) is not None
         }
+        self._there = there
         if there <= self._agreed:
             return False
         is_all = len(there) == len(wanted)

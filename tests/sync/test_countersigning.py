@@ -10,8 +10,9 @@ from typing import Any
 
 import pytest
 
-from events import CheckpointCountersigned, CheckpointSigned, StreamName, batch_of, decode, encode, events_of
+from events import CheckpointCountersigned, CheckpointSigned, Position, StreamName, batch_of, decode, encode, events_of
 from store import DiskNearlyFull, Log, Signer, StreamHead
+from store.payloads import put_back, take_off
 from store.room import Room
 from sync import BadAnswer, Daemon, Plan, Refusal
 from sync.keeping.countersigned import Held, countersigned_bytes, held_in, is_countersigned
@@ -163,6 +164,67 @@ def test_what_a_later_plan_fills_in_below_is_countersigned_too(station_log: Log,
 
     assert held_of(station_log) == [("gate", 0, 6)]
     assert prune(station_log) == [False, False]
+
+
+def test_what_central_holds_without_payload_is_not_signed_and_asked_for_once(
+    station_log: Log, central_log: Log, make: MakeDaemon
+) -> None:
+    append_points(station_log, stream_of(), [3, 3, 3])
+    payload = list(station_log.read(stream_of()))[1].payload
+    take(station_log, 2)
+    sign(station_log)
+    daemon = make(monotonic=count(0.0, 2.0).__next__)
+    assert [daemon.step().did for _ in range(40)].count("countersigned") == 1
+    assert held_of(station_log) == [("gate", 6, 9)]
+
+    with station_log.transaction() as transaction:
+        put_back(transaction, Position(2), payload)  # as from a backup: now it is nowhere else
+    assert prune(station_log) == [True, True, False]
+
+    (hollow,) = [each for each in central_log.read(stream_of(), with_hollow=True) if not each.has_payload]
+    with central_log.transaction() as transaction:
+        put_back(transaction, hollow.position, payload)
+    append_points(station_log, stream_of(), [3])
+    sign(station_log)
+    did(daemon)
+    assert ("gate", 0, 12) in held_of(station_log)
+    assert prune(station_log) == [False] * 4
+
+
+@pytest.mark.parametrize("is_sealed", [False, True])
+def test_what_came_without_payload_later_or_is_sealed_is_not_signed_either(
+    station_log: Log, central_log: Log, make: MakeDaemon, tmp_path: Path, is_sealed: bool
+) -> None:
+    append_points(station_log, stream_of(), [3, 3])
+    sign(station_log)
+    daemon = make(monotonic=count(0.0, 2.0).__next__)
+    if not is_sealed:
+        did(daemon)
+        assert held_of(station_log) == [("gate", 0, 6)]
+    append_points(station_log, stream_of(), [3, 3])
+    take(station_log, next(reversed(list(station_log.read(stream_of())))).position - 1)
+    sign(station_log)
+    if is_sealed:
+        make(central_key=None).catch_up()
+        seal_all(central_log, tmp_path, file_bytes=1_000_000)
+    did(daemon)
+    assert ("gate", 9, 12) in held_of(station_log)
+
+
+def test_a_head_that_central_holds_without_payload_is_not_signed(station_log: Log, make: MakeDaemon) -> None:
+    append_points(station_log, stream_of(), [3, 3])
+    append_points(station_log, stream_of("yard"), [3])
+    take(station_log, 2)
+    sign(station_log)
+    daemon = make(monotonic=count(0.0, 2.0).__next__)
+    assert [daemon.step().did for _ in range(40)].count("countersigned") == 1
+    assert held_of(station_log) == [("yard", 0, 3)]
+
+
+def take(log: Log, position: int) -> None:
+    """Take a payload off a station's disk."""
+    with log.transaction() as transaction:
+        assert take_off(transaction, [position]).segments == 1
 
 
 def test_a_sealed_file_goes_when_what_lies_below_a_base_is_held_too(
