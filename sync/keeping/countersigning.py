@@ -2,7 +2,8 @@
 
 Contract: `countersign` is central's side. It signs only the heads of the checkpoint that it holds with that very chain
 hash, and from where on it holds their streams with all payloads. `Countersigning` is the station's side: it asks for
-its newest checkpoint once central holds that, believes nothing but central's signature, and appends it to the station's own log.
+its newest checkpoint once central holds that, believes nothing but central's signature, and appends it to the station's
+own log.
 What is signed is laid out in `sync.keeping.countersigned`.
 """
 

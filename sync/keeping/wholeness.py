@@ -84,24 +84,23 @@ class Wholeness:
 def _last_hollow(log: Log, key: StreamKey, after: int, until: int) -> Point | None:
     """Where the last segment without payload ends of those that begin behind `after`, up to `until`."""
     with log.connection() as connection:
-        wanted = {**_names(key), "after": after, "until": until}
-        between = f"from segments g where {_PLACE} and g.first_sequence > %(after)s and g.first_sequence <= %(until)s"
-        (lowest,) = connection.execute(f"select min(g.first_sequence) {between}", wanted).fetchone() or (None,)
-        found = connection.execute(
-            f"select g.first_sequence + g.event_count - 1, g.chain_hash {between} and g.payload is null "
-            "order by g.first_sequence desc limit 1",
-            wanted,
+        row = connection.execute(
+            "select coalesce(sum(g.event_count), 0)::bigint, "
+            "max(g.first_sequence + g.event_count - 1) filter (where g.payload is null), "
+            "(array_agg(g.chain_hash order by g.first_sequence desc) filter (where g.payload is null))[1] "
+            f"from segments g where {_PLACE} and g.first_sequence > %(after)s and g.first_sequence <= %(until)s",
+            {**_names(key), "after": after, "until": until},
             binary=True,
         ).fetchone()
-    if found is not None:
-        return Point(found[0], bytes(found[1]))
-    if lowest == after + 1:
-        return None
-    return _last_hollow_sealed(log, key, after, until if lowest is None else lowest - 1)
+    assert row is not None, "an aggregate answers in one row"
+    events, last, chain_hash = row
+    if events < until - after:  # the rest is in sealed files, and need not be below
+        return _last_hollow_read(log, key, after, until)
+    return None if last is None else Point(last, bytes(chain_hash))
 
 
-def _last_hollow_sealed(log: Log, key: StreamKey, after: int, until: int) -> Point | None:
-    """The same of what is in sealed files."""
+def _last_hollow_read(log: Log, key: StreamKey, after: int, until: int) -> Point | None:
+    """The same, read a segment at a time."""
     last: Point | None = None
     for segment in log.read(key.stream, after + 1, epoch=key.epoch, with_hollow=True):
         if segment.header.first_sequence > until:
