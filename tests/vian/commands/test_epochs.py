@@ -170,6 +170,7 @@ def test_a_disk_that_was_put_back_goes_on_in_a_new_epoch_by_the_command_that_its
     assert put_back.sync().code == 0
     assert put_back.doctor()["epoch"] == "note"  # of its plan there are two histories now
     assert (central.held(), central.held(YARD)) == ([(1, 24), (2, 6)], [(1, 5)])
+    assert {each["events"] for each in put_back.streams()} == {0}
 
 
 def test_what_a_put_back_disk_recorded_before_its_new_epoch_is_named_and_stays(
