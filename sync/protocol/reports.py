@@ -69,6 +69,7 @@ class Step:
         "sent",
         "countersigned",
         "repaired",
+        "compared",
         "chore",
         "nothing",
         "doubted",
