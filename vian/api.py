@@ -84,6 +84,7 @@ def create_app(
             router(
                 log,
                 grants,
+                limits,
                 access=access,
                 answers=answers,
                 note=note,

@@ -117,7 +117,7 @@ def station_daemon(
         base_url=peer.address, timeout=REQUEST_SECONDS_MAX, verify=context, transport=transport
     ) as client:
         if transport is None:
-            take_turns(client, context)
+            take_turns(client, context, pace.in_flight + 1)  # one for what is live
         bounds = bounded(client)
         deriver = Deriver(log, station_name(station))
         try:

@@ -241,9 +241,10 @@ def _check_room(log: Log, station: Station, records: Sequence[Record]) -> None:
     if not begun:
         return
     held = runs_of(log, _keys(begun))
-    added = sum(not runs for runs in held.values())
-    if added and (there := _streams_of(log, station)) + added > CURSORS_MAX:
-        raise _no_room(begun[0].segment, "too_many_streams", f"{there} streams here and {added} more", CURSORS_MAX)
+    added = [each.segment for each in begun if not held[_key(each)]]
+    streams = sum(not runs for runs in held.values())
+    if added and (there := _streams_of(log, station)) + streams > CURSORS_MAX:
+        raise _no_room(added[0], "too_many_streams", f"{there} streams here and {streams} more", CURSORS_MAX)
     for key, runs in held.items():
         jumps = [each.segment for each in begun if each.begins_run and _key(each) == key and not _is_held(each, runs)]
         if jumps and len(runs) + len(jumps) > RUNS_MAX:

@@ -1,7 +1,7 @@
 """Central's side over HTTP: a router for the FastAPI application that serves everything else.
 
 Contract: who sends a request is found out before its body is read, and the body is cut off at the limit
-while it comes in. Endpoints run in the thread pool. An answer 200 to segments means durable. Every
+while it comes in. Segments are checked and stored by a few threads. An answer 200 to them means durable. Every
 refusal is a JSON problem: what is wrong, what was got, what was wanted, what to do next.
 
 Version 2 is for enrolled stations, which sign each request (`sync.central.access`); version 1 is for stations of
@@ -146,10 +146,11 @@ def router(
     most = limits or Limits()
     api = APIRouter()
     contacts = Contacts(log, monotonic)
+    room = Room(most.bodies_bytes_max)
     if grants is not None:
-        api.include_router(_version_1(log, grants, most, now, note, while_storing, contacts))
+        api.include_router(_version_1(log, grants, most, now, note, while_storing, contacts, room))
     if access is not None:
-        door = Door(access, most)
+        door = Door(access, most, room)
         api.include_router(_version_2(log, door, most, now, note, answers, while_storing, contacts, on_hollow))
         api.include_router(_repairs(log, door, most, now, note))
     api.include_router(_rest(note))
@@ -186,14 +187,14 @@ Opened = Callable[..., AsyncIterator[Call]]
 class Door:
     """Lets in who may speak: makes the dependencies that endpoints of version 2 declare.
 
-    Contract: the order is declared length; signature, session and grant; body; the body's digest.
+    Contract: the order is declared length; signature, session and grant; room; body; the body's digest.
     """
 
-    def __init__(self, access: Access, limits: Limits) -> None:
+    def __init__(self, access: Access, limits: Limits, room: Room) -> None:
         self.access = access
         self.workers = Workers()
         self._limits = limits
-        self._room = Room(limits.bodies_bytes_max)
+        self._room = room
         self._places = Places(
             "too_many_requests",
             "the station has too many requests under way",  # an enrolled one must not fill central's memory
@@ -377,6 +378,7 @@ def _version_1(
     note: Note,
     while_storing: Storing,
     contacts: Contacts,
+    room: Room,
 ) -> APIRouter:
     api = APIRouter(prefix=PATH_1, tags=["sync"], route_class=problem_route(note, _cursors_1), responses=RESPONSES)
 
@@ -388,8 +390,11 @@ def _version_1(
     async def hello_body(request: Request, _: Annotated[Station, Depends(granted)]) -> bytes:
         return await read_body(request, most.body(most.hello_bytes_max))
 
-    async def segments_body(request: Request, _: Annotated[Station, Depends(granted)]) -> bytes:
-        return await read_body(request, most.body(most.body_bytes_max))
+    async def segments_body(request: Request, station: Annotated[Station, Depends(granted)]) -> AsyncIterator[bytes]:
+        declared = request.headers.get("content-length", "")
+        size = min(int(declared), most.body_bytes_max) if declared.isdecimal() else most.body_bytes_max
+        async with room.taken(station, size):
+            yield await read_body(request, most.body(most.body_bytes_max))
 
     @api.post("/hello", summary="A station says where it stands, and learns its cursors")
     def hello(

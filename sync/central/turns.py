@@ -29,19 +29,22 @@ class Turns:
         self._wait_s = wait_s
         self._through: OrderedDict[Station, OrderedDict[str, None]] = OrderedDict()
         self._waiting: Counter[Station] = Counter()
-        self._noted: dict[tuple[Station, str], asyncio.Event] = {}
+        self._noted: dict[tuple[Station, str], set[asyncio.Event]] = {}
 
     async def wait_for(self, station: Station, follows: str) -> None:
         """Return when the station's request of that name is through or too late; empty: at once."""
         if not follows or follows in self._through.get(station, ()) or self._waiting[station] >= WAITING_MAX:
             return
-        noted = self._noted.setdefault((station, follows), asyncio.Event())
+        noted, others = asyncio.Event(), self._noted.setdefault((station, follows), set())
+        others.add(noted)
         self._waiting[station] += 1
         try:
             with suppress(TimeoutError):
                 await asyncio.wait_for(noted.wait(), self._wait_s)
         finally:
-            self._noted.pop((station, follows), None)
+            others.discard(noted)
+            if not others:
+                self._noted.pop((station, follows), None)
             self._waiting[station] -= 1
             self._waiting += Counter()  # forgets those of which none waits
 
@@ -62,5 +65,5 @@ class Turns:
             names.popitem(last=False)
         while len(self._through) > _STATIONS_MAX:
             self._through.popitem(last=False)
-        if (noted := self._noted.pop((station, order), None)) is not None:
+        for noted in self._noted.get((station, order), ()):
             noted.set()

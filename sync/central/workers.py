@@ -11,7 +11,8 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
 
-SMALL_BYTES = 64 * 1024
+from sync.central.room import SMALL_BYTES
+
 _SMALL_THREADS = 2
 
 T = TypeVar("T")

@@ -18,17 +18,18 @@ REST_S = 15.0
 """How long an unused connection is kept, in seconds: less than central keeps it, and than routers forget it."""
 
 
-def take_turns(client: httpx.Client, verify: ssl.SSLContext) -> None:
+def take_turns(client: httpx.Client, verify: ssl.SSLContext, count: int = CONNECTIONS) -> None:
     """Let the client's direct connections take turns; those through a proxy stay as they are.
 
     Args:
         client: Has not been used yet.
         verify: What its servers' certificates are checked with.
+        count: How many there are.
     """
     client._transport.close()
     # httpx asks the environment for proxies only where it makes the direct transport itself.
     client._transport = Rotation(
-        lambda: httpx.HTTPTransport(verify=verify, limits=httpx.Limits(keepalive_expiry=REST_S))
+        lambda: httpx.HTTPTransport(verify=verify, limits=httpx.Limits(keepalive_expiry=REST_S)), count
     )
 
 

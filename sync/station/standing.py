@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from events import Station, StreamName
 from store import Log, StreamHead
 from store.reading import DERIVE
-from sync.errors import PlanError, StreamStopped
+from sync.errors import PlanError, SegmentRefused, StreamStopped
 from sync.plans.marks import mark_in
 from sync.plans.plan import Entry, Plan
 from sync.protocol.wire import STREAMS_MAX
@@ -81,8 +81,9 @@ class Standing:
         )
 
     def follow(self, plan: Plan) -> None:
-        """Work by this plan from now on."""
+        """Work by this plan from now on; what central refused is tried again, for the plan may have made room."""
         self._plan = plan
+        self.stopped = {key: error for key, error in self.stopped.items() if not isinstance(error, SegmentRefused)}
         self._entries.clear()
         self._planned.clear()
         self._pending.clear()

@@ -128,6 +128,22 @@ def test_a_request_waits_for_the_one_that_it_follows_and_not_for_ever() -> None:
     assert order == ["first", "second"]
 
 
+def test_who_gives_up_takes_no_turn_from_others_that_wait() -> None:
+    turns = Turns(wait_s=PATIENCE_S)
+
+    async def scene() -> None:
+        patient, gone = (asyncio.create_task(turns.wait_for(BRNO, "a-1")) for _ in range(2))
+        await asyncio.sleep(0)
+        gone.cancel()
+        await asyncio.sleep(0)
+        with turns.named(BRNO, "a-1"):
+            pass
+        await asyncio.wait_for(patient, PATIENCE_S / 2)
+        assert not turns._noted
+
+    asyncio.run(scene())
+
+
 def test_a_request_that_fails_is_through_as_well() -> None:
     turns = Turns(wait_s=PATIENCE_S)
     with suppress(ValueError), turns.named(BRNO, "a-1"):

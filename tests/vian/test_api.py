@@ -6,7 +6,9 @@ import uvicorn
 from fastapi import FastAPI
 
 from store import Log, LogUnavailable
+from sync.central.router import Limits
 from sync.protocol.grants import Grants, token_hash
+from sync.station.rotation import REST_S
 from tests.vian.samples import append, points
 from vian.api import KEEP_ALIVE_S, bind, create_app, serving
 from vian.errors import WorldFailed
@@ -27,9 +29,7 @@ def test_health_says_where_the_log_stands(log: Log) -> None:
 
 
 def test_a_connection_outlives_a_stations_use_of_it() -> None:
-    expiry_s = httpx.Limits().keepalive_expiry
-    assert expiry_s is not None
-    assert expiry_s < KEEP_ALIVE_S
+    assert REST_S < KEEP_ALIVE_S
 
 
 @pytest.mark.parametrize("grants", [None, Grants({"brno": token_hash(TOKEN)})])
@@ -89,3 +89,12 @@ def test_a_server_that_does_not_start_is_told(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr(uvicorn.Server, "run", lambda self, sockets: None)
     with pytest.raises(WorldFailed, match="the HTTP server did not start"), serving(FastAPI(), bind("127.0.0.1", 0)):
         pass
+
+
+def test_the_limits_that_are_given_hold(log: Log) -> None:
+    app = create_app(log, Grants({"brno": token_hash(TOKEN)}), limits=Limits(hello_bytes_max=1234))
+    with serving(app, bind("127.0.0.1", 0)) as address:
+        headers = {"authorization": f"Bearer {TOKEN}"}
+        answer = httpx.post(f"{address}/sync/v1/hello", content=b"x" * 1235, headers=headers)
+    assert answer.status_code == 413
+    assert "1234 bytes" in answer.json()["wanted"]
