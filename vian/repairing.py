@@ -10,7 +10,6 @@ from store import Log, verify
 from store.keys import load_key
 from sync.keeping.gone import Gone, accept, gone_in
 from sync.keeping.repair import (
-    WANTED_MAX,
     Damage,
     Repaired,
     Repairer,
@@ -124,8 +123,8 @@ def _asked(log: Log, damages: Sequence[Damage]) -> Iterator[Repaired]:
     for each in damages:
         if each.position in left_out:
             why = (
-                f"station {each.stream.station} is not asked for it: {WANTED_MAX} segments are asked for already, the "
-                "most at a time. Next: the same again once stations sent some; vian sync status names who is silent"
+                f"station {each.stream.station} is not asked for it yet: as many segments as may be are asked for "
+                "already. Next: the same again once stations sent some; vian sync status names who is silent"
             )
         else:
             why = f"station {each.stream.station} is asked for it at its next hello"
