@@ -52,14 +52,11 @@ def begin_epoch(dsn: str, epoch: int) -> None:
     """
     try:
         with psycopg.connect(dsn, autocommit=True) as connection:
-            if count := others(connection):
-                raise BadRequest(
-                    f"the log is in use: {count} other connections. Next: stop vian serve, vian sync and whatever else "
-                    "uses it, then vian station new-epoch"
-                )
+            _check_alone(others(connection))
             with connection.transaction():
-                # Who opens the log meanwhile waits here, and then learns the new epoch.
+                # Who opens the log from here on waits, and then learns the new epoch; who came before knows the old.
                 connection.execute("lock table log_head in access exclusive mode")
+                _check_alone(_others_now(connection))
                 own = _life(connection).epoch
                 if epoch <= own:
                     raise BadRequest(f"a new epoch lies behind the log's own, which is {own}; got {epoch}")
@@ -78,17 +75,29 @@ def begin_epoch(dsn: str, epoch: int) -> None:
 def others(connection: psycopg.Connection[Any]) -> int:
     """How many other programs are connected, once those that just ended are gone."""
     deadline = time.monotonic() + _GONE_SECONDS
-    while True:
-        row = connection.execute(
-            "select count(*) from pg_stat_activity where datname = current_database() "
-            "and pid <> pg_backend_pid() and usesysid is not null "
-            # An owner who is no superuser is not told of what kind another's session is.
-            "and coalesce(backend_type, 'client backend') = 'client backend'"
-        ).fetchone()
-        assert row is not None, "a count has one row"
-        if not row[0] or time.monotonic() > deadline:
-            return int(row[0])
+    while (count := _others_now(connection)) and time.monotonic() <= deadline:
         connection.execute("select pg_sleep(0.05)")
+    return count
+
+
+def _others_now(connection: psycopg.Connection[Any]) -> int:
+    """How many other programs are connected; in a transaction, as it was when it was first asked there."""
+    row = connection.execute(
+        "select count(*) from pg_stat_activity where datname = current_database() "
+        "and pid <> pg_backend_pid() and usesysid is not null "
+        # An owner who is no superuser is not told of what kind another's session is.
+        "and coalesce(backend_type, 'client backend') = 'client backend'"
+    ).fetchone()
+    assert row is not None, "a count has one row"
+    return int(row[0])
+
+
+def _check_alone(count: int) -> None:
+    if count:
+        raise BadRequest(
+            f"the log is in use: {count} other connections. Next: stop vian serve, vian sync and whatever else "
+            "uses it, then vian station new-epoch"
+        )
 
 
 def _life(connection: psycopg.Connection[Any]) -> Life:

@@ -6,6 +6,7 @@ Contract: a lock lives as long as its connection, so a killed holder frees it by
 import hashlib
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import psycopg
 
@@ -32,7 +33,17 @@ def tried_lock(log: Log, what: str) -> Iterator[bool]:
         connection = psycopg.connect(log.dsn, autocommit=True)
     except psycopg.OperationalError as error:
         raise LogUnavailable(f"the database is away: {error}".strip()) from error
-    with connection:
+    try:
+        yield _is_taken(connection, what)
+    finally:
+        connection.close()
+
+
+def _is_taken(connection: psycopg.Connection[Any], what: str) -> bool:
+    """Whether the lock was free, and is this connection's now."""
+    try:
         row = connection.execute("select pg_try_advisory_lock(%s)", (lock_key(what),)).fetchone()
-        assert row is not None, "a function answers in one row"
-        yield row[0]
+    except psycopg.OperationalError as error:
+        raise LogUnavailable(f"the database is away: {error}".strip()) from error
+    assert row is not None, "a function answers in one row"
+    return bool(row[0])

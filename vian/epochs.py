@@ -17,7 +17,8 @@ from store.epochs import begin_epoch, life_of
 from sync.errors import HeadsDisagree
 from sync.protocol.wire import STREAMS_MAX, Cursor, HelloAnswer
 from sync.runs import StreamKey, end_of
-from sync.station.client import Greeting
+from sync.station.client import Greeting, Link
+from sync.station.comparing import check_beyond, is_open
 from sync.station.outbox import check_history
 from vian.peers import Peer
 from vian.tls import AGAIN, station_context
@@ -28,25 +29,24 @@ Database = AbstractContextManager[tuple[str, EmbeddedServer | None]]
 """Of `vian.options.bare_database`."""
 
 
-def greet(log: Log, station: Station, peer: Peer, now: datetime) -> HelloAnswer:
-    """What central says that it holds of the station, asked by one hello; in protocol 1 of the streams here alone.
+def compare(log: Log, station: Station, peer: Peer, now: datetime) -> tuple[HelloAnswer, list[HeadsDisagree]]:
+    """What central says that it holds of the station, and where that cannot be of this log's history.
+
+    In protocol 1 it says so of the streams here alone.
 
     Raises:
         CentralError: It does not answer, or refuses.
+        LogUnavailable: The database is away.
     """
     context = station_context(peer.certificate)
     with httpx.Client(base_url=peer.address, timeout=CONNECT_SECONDS, verify=context) as client:
         link = peer.link(client, AGAIN)
         own = [] if link.knows_all else [head for head in log.streams() if head.stream.station == station]
-        return link.hello(Greeting(station, log.epoch, now, own[:STREAMS_MAX], None, None))
+        answer = link.hello(Greeting(station, log.epoch, now, own[:STREAMS_MAX], None, None))
+        return answer, _disagreements(log, station, answer.cursors, link)
 
 
-def disagreements(log: Log, station: Station, cursors: Iterable[Cursor]) -> list[HeadsDisagree]:
-    """Where what central holds cannot be of this log's history.
-
-    Raises:
-        LogUnavailable: The database is away.
-    """
+def _disagreements(log: Log, station: Station, cursors: Iterable[Cursor], link: Link) -> list[HeadsDisagree]:
     here = {StreamKey(head.stream, head.epoch): head for head in log.streams() if head.stream.station == station}
     found = []
     for cursor in cursors:
@@ -54,6 +54,8 @@ def disagreements(log: Log, station: Station, cursors: Iterable[Cursor]) -> list
         try:
             if cursor.key in here:
                 check_history(log, here[cursor.key], there)
+                if is_open(here[cursor.key], there, log.epoch):
+                    check_beyond(link, here[cursor.key])
             elif cursor.epoch >= log.epoch:
                 raise HeadsDisagree(*cursor.key, there.sequence, None, there.chain_hash)
         except HeadsDisagree as error:

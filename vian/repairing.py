@@ -9,7 +9,15 @@ from events import StreamName, station_name
 from store import Log, verify
 from store.keys import load_key
 from sync.keeping.gone import Gone, accept, gone_in
-from sync.keeping.repair import Damage, Repaired, Repairer, Wanted, damaged_headers, damaged_payloads, hollow_payloads
+from sync.keeping.repair import (
+    Damage,
+    Repaired,
+    Repairer,
+    Wanted,
+    damaged_headers,
+    damaged_payloads,
+    hollow_payloads,
+)
 from sync.station.client import Central, Greeting
 from vian.clock import utc_now
 from vian.errors import WorldFailed
@@ -49,14 +57,12 @@ def repair_damages(log: Log, settings: Settings) -> Iterator[Repaired]:
     """
     own = station_name(settings.station)
     damaged = [*damaged_payloads(log), *damaged_headers(log, verify(log).broken)]
-    if foreign := _first_each(each for each in damaged if each.stream.station != own):
-        Wanted(log).ask(foreign)
+    foreign = _first_each(each for each in damaged if each.stream.station != own)
     if any(each.stream.station == own for each in damaged):
         with central_link(log, settings) as link:
             repairer = Repairer(log, own, link.read, "central", utc_now)
             yield from repairer.repair_all(only=own)
-    for damage in foreign:
-        yield Repaired(damage, 0, f"station {damage.stream.station} is asked for it at its next hello")
+    yield from _asked(log, foreign)
 
 
 def bring_back(
@@ -72,8 +78,7 @@ def bring_back(
     if not gone:
         return
     if stream.station != station_name(settings.station):
-        Wanted(log).ask(gone)
-        yield from (Repaired(each, 0, f"station {stream.station} is asked for it at its next hello") for each in gone)
+        yield from _asked(log, gone)
         return
     with central_link(log, settings) as link:
         repairer = Repairer(log, station_name(settings.station), link.read, "central", utc_now)
@@ -85,6 +90,8 @@ def note_lost(
     log: Log, settings: Settings, stream: StreamName | None, epoch: int | None, first: int, last: int
 ) -> list[Gone]:
     """Note in central's own log that what is gone here and at its station is in no backup; which it is.
+
+    The stations are asked for it no more.
 
     Args:
         log: Central's log.
@@ -105,7 +112,29 @@ def note_lost(
         if each.first_sequence <= last and each.last_sequence >= first
     ]
     accept(log, own, found, utc_now())
+    if found:
+        Wanted(log).forget(lambda wanted: any(_holds(each, wanted) for each in found))
     return found
+
+
+def _asked(log: Log, damages: Sequence[Damage]) -> Iterator[Repaired]:
+    """Ask the stations for what is theirs, as far as there is room for it."""
+    left_out = {each.position for each in Wanted(log).ask(damages)} if damages else set()
+    for each in damages:
+        if each.position in left_out:
+            why = (
+                f"station {each.stream.station} is not asked for it yet: as many segments as may be are asked for "
+                "already. Next: the same again once stations sent some; vian sync status names who is silent"
+            )
+        else:
+            why = f"station {each.stream.station} is asked for it at its next hello"
+        yield Repaired(each, 0, why)
+
+
+def _holds(gone: Gone, wanted: Damage) -> bool:
+    """Whether a segment that is wanted lies in what is gone."""
+    is_there = gone.first_sequence <= wanted.first_sequence <= gone.last_sequence
+    return is_there and (gone.stream, gone.epoch) == (wanted.stream, wanted.epoch)
 
 
 def _first_each(damages: Iterator[Damage]) -> Sequence[Damage]:

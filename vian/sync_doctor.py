@@ -15,12 +15,12 @@ from cryptography import x509
 
 from events import Station, StreamName, station_name
 from store import Log, load_key
-from sync.errors import BadAnswer, CentralError, PlanError
+from sync.errors import BadAnswer, CentralError, HeadsDisagree, PlanError
 from sync.plans.checking import check_filters, warnings_of
 from sync.plans.plan import Plan
 from sync.plans.planning import planned_in
 from sync.protocol.wire import HelloAnswer
-from vian.epochs import CONNECT_SECONDS, disagreements, greet
+from vian.epochs import CONNECT_SECONDS, compare
 from vian.errors import VianError
 from vian.findings import Finding, Verdict
 from vian.log_checks import check_clock, check_horizon
@@ -165,13 +165,13 @@ def _central(log: Log, station: Station, peer: Peer, now: Callable[[], datetime]
                 return
     asked = now()
     try:
-        answer = greet(log, station, peer, asked)
+        answer, found = compare(log, station, peer, asked)
     except CentralError as error:
         yield Finding("central", Verdict.BAD, _explained(error))
         return
     yield Finding("central", Verdict.OK, f"{answer.program} answers {answer.station} in protocol {answer.protocol}")
     yield _offset((answer.time - asked).total_seconds())
-    yield from _heads(log, station, answer)
+    yield from _heads(log, answer, found)
 
 
 def _proxy(url: httpx.URL) -> str | None:
@@ -275,9 +275,8 @@ def _offset(seconds: float) -> Finding:
     )
 
 
-def _heads(log: Log, station: Station, answer: HelloAnswer) -> Iterator[Finding]:
+def _heads(log: Log, answer: HelloAnswer, found: Sequence[HeadsDisagree]) -> Iterator[Finding]:
     """Whether what central holds can belong to this log's history."""
-    found = disagreements(log, station, answer.cursors)
     for is_past, verdict in ((False, Verdict.BAD), (True, Verdict.NOTE)):
         wrong = [error for error in found if error.is_past == is_past]
         for error in wrong[:_SHOWN]:

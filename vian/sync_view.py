@@ -208,7 +208,7 @@ def _waiting(head: StreamHead, said: StreamStatus | None, since: datetime | None
         return []
     cursor = (said.cursor or 0) if said else 0
     parts = [Part(head.stream, head.epoch, since, after=cursor)] if head.sequence > cursor else []
-    lacking = max(0, (said.backlog or 0) - (said.sequence - cursor)) if said and cursor else 0
+    lacking = max(0, (said.backlog or 0) - max(0, said.sequence - cursor)) if said and cursor else 0
     return [Part(head.stream, head.epoch, since, until=lacking), *parts] if lacking else parts
 
 

@@ -4,7 +4,7 @@ Contract: that is found when a station sends such segments once more, without pa
 exact ranges as `loss_recorded`, an accident and so without a policy, in its own log; the event reaches central as any
 other does. So both sides know it from their logs, for ever, until the payloads are back: `gone_in` gives only what is
 without payload in the log that is asked. A loss that the own station of that log records of another's stream, says
-that its operator knows.
+that its operator knows; as a loss names no epoch, its policy says of which life of the stream.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -82,22 +82,25 @@ def gone_in(log: Log, own: Station | None, station: Station | None = None) -> li
         LogUnavailable: The database is away.
     """
     said: dict[tuple[StreamName, int], list[tuple[int, int]]] = {}
-    known: dict[StreamName, list[tuple[int, int]]] = {}
+    known: dict[tuple[StreamName, str | None], list[tuple[int, int]]] = {}
+    """By stream, and the policy that its life's losses have."""
     for segment in log.read_all(types=[LossRecorded.type_name]):
         for event in events_of(decode(segment, log.catalogue)):
             if not isinstance(event, LossRecorded) or event.what != "segments" or event.first_sequence is None:
                 continue
             stream = StreamName.parse(event.stream)
             span = event.first_sequence, event.last_sequence or event.first_sequence
+            epoch = int(segment.header.epoch)
             if segment.stream.station == stream.station and event.policy is None and station in (None, stream.station):
-                said.setdefault((stream, int(segment.header.epoch)), []).append(span)
+                said.setdefault((stream, epoch), []).append(span)
             elif segment.stream.station == own:
-                known.setdefault(stream, []).append(span)
+                policy = _noted(epoch) if stream.station == own else event.policy
+                known.setdefault((stream, policy), []).append(span)
     return [
         each
         for (stream, epoch), spans in sorted(said.items())
         for span in sorted(spans)
-        for first, last in without(span, known.get(stream, []))
+        for first, last in without(span, known.get((stream, _noted(epoch)), []))
         for each in _hollow(log, Gone(stream, epoch, first, last))
     ]
 
@@ -155,12 +158,17 @@ def accept(log: Log, own: Station, gone: Sequence[Gone], now: datetime) -> None:
             lost_from_at=None,
             lost_until_at=None,
             reason="its operator says that it is in no backup",
-            policy="vian sync repair --lost",
+            policy=_noted(each.epoch),
         )
         for each in gone
     ]
     if events:
         log.append([record_of(own, events)])
+
+
+def _noted(epoch: int) -> str:
+    """The policy of losses in that life of a stream of which an operator says that they are known."""
+    return f"vian sync repair --lost --epoch {epoch}"
 
 
 def _weight(segment: Segment) -> Weight:

@@ -197,9 +197,7 @@ class Repairer:
     def _fetched(self, damage: Damage) -> Segment:
         """The other side's segment that begins where the damaged one does."""
         for segment in self._fetch(damage.wanted()):
-            header = segment.header
-            place = (header.stream, header.epoch, header.first_sequence)
-            if place == (damage.stream, damage.epoch, damage.first_sequence) and segment.has_payload:
+            if _begin(segment) == (damage.stream, damage.epoch, damage.first_sequence) and segment.has_payload:
                 return segment
         raise BadRequest(
             f"{self._origin} does not hold {damage.stream} from sequence {damage.first_sequence} with its payload"
@@ -284,7 +282,8 @@ class Wanted:
     """What a log wants back from the stations whose streams are damaged in it; asked at their next hello.
 
     Contract: kept in the log's database, so that whoever finds the damage need not be who answers the stations. What
-    was put back is forgotten; asking again for the same changes nothing.
+    was put back is forgotten, and what its station answered without payload: it has no more of it. Asking again for
+    the same changes nothing.
     """
 
     _NAME = "repair"
@@ -292,14 +291,21 @@ class Wanted:
     def __init__(self, log: Log) -> None:
         self._log = log
 
-    def ask(self, damages: Sequence[Damage]) -> None:
-        """Want these back."""
+    def ask(self, damages: Sequence[Damage]) -> list[Damage]:
+        """Want these back; those for which there is no room, as so many are asked for already."""
         at = self._log.head()  # before the transaction: who holds a connection must not wait for another
         with self._log.transaction() as transaction:
             kept = _damages(transaction.checkpoint(self._NAME).state)
-            places = {each.position for each in damages}
-            kept = [*(each for each in kept if each.position not in places), *damages]
-            transaction.save_checkpoint(self._NAME, at, _state(kept[:WANTED_MAX]))
+            asked = list({each.position: each for each in (*kept, *damages)}.values())
+            transaction.save_checkpoint(self._NAME, at, _state(asked[:WANTED_MAX]))
+        return asked[WANTED_MAX:]
+
+    def forget(self, is_known: Callable[[Damage], bool]) -> None:
+        """Want no more what is so."""
+        at = self._log.head()
+        with self._log.transaction() as transaction:
+            kept = _damages(transaction.checkpoint(self._NAME).state)
+            transaction.save_checkpoint(self._NAME, at, _state([each for each in kept if not is_known(each)]))
 
     def of(self, station: Station) -> list[Damage]:
         """What is wanted of a station."""
@@ -321,11 +327,8 @@ class Wanted:
         repairer = Repairer(self._log, own, lambda _: segments, str(station), now)
         done = [repairer.repair(damage) for damage in self.of(station)]
         mended = {each.damage.position for each in done if each.segments}
-        at = self._log.head()
-        with self._log.transaction() as transaction:
-            kept = _damages(transaction.checkpoint(self._NAME).state)
-            left = [each for each in kept if each.position not in mended]
-            transaction.save_checkpoint(self._NAME, at, _state(left))
+        hollow = {_begin(each) for each in segments if not each.has_payload and each.stream.station == station}
+        self.forget(lambda each: each.position in mended or (each.stream, each.epoch, each.first_sequence) in hollow)
         return sum(each.segments for each in done)
 
 
@@ -345,6 +348,10 @@ def repair_with(
             400, "bad_body", "the body does not hold segments", str(error), "whole segment records", "send it again"
         ) from error
     return Wanted(log).take(own, station, [record.segment for record in records], now)
+
+
+def _begin(segment: Segment) -> tuple[StreamName, int, int]:
+    return segment.stream, int(segment.header.epoch), int(segment.header.first_sequence)
 
 
 def _state(damages: Sequence[Damage]) -> bytes:

@@ -1,8 +1,8 @@
 """What derived streams still wait for of their bases: what may not be taken off the disk, and what has been already.
 
 Contract: reads only. A derived stream waits for the segments of its base behind its checkpoint, but for those that
-lie wholly before its `from`. What was pruned of them can come back from central; what was given up cannot, and is
-waited for no more.
+lie wholly before its `from`. What was pruned of them can come back from central; what the log records as lost is
+waited for no more, though a backup may bring it back.
 """
 
 from collections.abc import Collection, Iterator, Mapping

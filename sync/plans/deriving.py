@@ -13,7 +13,9 @@ events are there already (`store.reading.Filter`).
 A deriver is stepped; a step reads one bounded page of the log. A base stream that cannot be filtered (a type unknown
 here, a damaged segment, a condition that fails) stops its derived stream until the plan changes or the program is
 started again, and the others go on. A segment whose payload was pruned stops it until the payload is back, and it
-goes on by itself; one that was given up is passed over, for the log says so and nothing brings it back.
+goes on by itself. One that the log records as lost is passed over: given up here, or pruned here and lost at central
+since. Should a backup bring the latter back, this derived stream has passed it for good, for it keeps the order of its
+base; another filter is another stream, and has it.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -187,7 +189,7 @@ class Deriver:
             kept.clear()
 
     def _heed_repairs(self) -> None:
-        """Go on with the streams for which a payload that was gone is back, or is given up."""
+        """Go on with the streams for which a payload that was gone is back, or is recorded as lost."""
         for name, position in list(self._gone.items()):
             try:
                 (segment,) = self._log.page(position, position, Filter(with_hollow=True), 1)

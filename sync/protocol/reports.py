@@ -70,6 +70,7 @@ class Step:
         "sent",
         "countersigned",
         "repaired",
+        "compared",
         "chore",
         "nothing",
         "doubted",

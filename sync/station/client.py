@@ -94,6 +94,9 @@ class Link(Protocol):
     def repair(self, body: bytes) -> RepairAnswer:
         """What central put back of records that it wanted. Raises CentralError where there is no answer."""
 
+    def read(self, wanted: Range) -> Sequence[Segment]:
+        """What central holds of a range of this station's. Raises CentralError where there is no answer, or nothing."""
+
 
 class Signer(Protocol):
     """What signs a station's requests, beside being an `httpx.Auth`."""

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import httpx
 
-from events import GENESIS, Run, StreamName
+from events import GENESIS, Run, Segment, StreamName
 from sync.errors import BadAnswer, CentralFailed, ProtocolMismatch, Refused, WireError
 from sync.protocol.grants import checked_token
 from sync.protocol.wire import (
@@ -16,6 +16,7 @@ from sync.protocol.wire import (
     Countersigned,
     CountersignRequest,
     Cursor,
+    Range,
     Record,
     RepairAnswer,
     parse,
@@ -142,6 +143,11 @@ class CentralV1:
             CentralFailed: Always.
         """
         raise CentralFailed(f"central at {self.address} wants nothing back in protocol {PROTOCOL}. {UPGRADE}")
+
+    def read(self, wanted: Range) -> Sequence[Segment]:
+        """None: not in this version."""
+        del wanted
+        return ()
 
     def _post(self, endpoint: str, body: bytes, headers: dict[str, str]) -> bytes:
         return self._exchange.post(endpoint, body, self._authorization | headers, ANSWER_BYTES_MAX)

@@ -43,6 +43,7 @@ from sync.runs import Runs, StreamKey, are_held, end_of
 from sync.station.bell import Bell
 from sync.station.chores import Chores
 from sync.station.client import Greeting, Link
+from sync.station.comparing import check_beyond
 from sync.station.contact import Contact
 from sync.station.flights import BACKLOG, Flights, Landed
 from sync.station.outbox import Capacity, Outbox
@@ -421,7 +422,9 @@ class Daemon:
         return Step("nothing", sleep_s if wait_s is None else min(sleep_s, wait_s))
 
     def _errand(self, *, has_time: bool) -> Callable[[], Step] | None:
-        """A short request of its own that waits: a signature, or a range that central wants back."""
+        """A short request of its own that waits: a comparison, a signature, or a range that central wants back."""
+        if self._standing.open:
+            return self._compare
         held = self._standing.acknowledged
         if held is not None and self._countersigning.is_due(self._standing.here(), held, has_time=has_time):
             return self._countersign
@@ -434,6 +437,14 @@ class Daemon:
             return Step("sending")
         self._overtaken = 0
         return errand()
+
+    def _compare(self) -> Step:
+        """Ask whether what central holds of an earlier epoch goes on from what is here."""
+        key = self._standing.open.pop()
+        check_beyond(self._central, self._standing.here()[key])
+        self._standing.agreed.add(key)
+        self._contact.answered()
+        return Step("compared")
 
     def _countersign(self) -> Step:
         try:

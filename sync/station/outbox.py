@@ -67,7 +67,8 @@ class Parcel:
 def check_heads(here: StreamHead, there: Point, epoch: int) -> None:
     """Nothing, if what central has newest can belong to the history of which `here` is the head.
 
-    Of an earlier epoch central may have more: what came after the backup, or before the disk was put back.
+    Of an earlier epoch central may have more: what came after the backup, or before the disk was put back. Whether
+    that goes on from here is looked at apart (`sync.station.comparing`).
 
     Args:
         here: The stream's head at this station.

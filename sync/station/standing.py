@@ -15,6 +15,7 @@ from sync.plans.marks import mark_in
 from sync.plans.plan import Entry, Plan
 from sync.protocol.wire import STREAMS_MAX
 from sync.runs import BEGINNING, Point, Runs, StreamKey, end_of, gaps_of, with_range
+from sync.station.comparing import is_open
 from sync.station.outbox import Filled, check_heads
 from sync.station.scheduling import Planned, Work, mark_of, works_of
 from sync.station.starting import Starts
@@ -51,6 +52,10 @@ class Standing:
         """Streams that are not sent further until somebody does something."""
         self.apart: dict[StreamKey, StreamStopped] = {}
         """Streams of earlier epochs of which central holds another history: they stay here."""
+        self.open: set[StreamKey] = set()
+        """Streams of earlier epochs of which central holds more, so that only it can say whether of this history."""
+        self.agreed: set[StreamKey] = set()
+        """Those of them of which it did."""
 
     @property
     def planned(self) -> Mapping[StreamKey, Planned]:
@@ -173,6 +178,8 @@ class Standing:
             newest = end_of(runs)
             if runs:
                 check_heads(head, newest, self._log.epoch)
+            if is_open(head, newest, self._log.epoch) and key not in self.agreed and key not in self.apart:
+                self.open.add(key)
 
     def _forget_marks(self) -> None:
         self._marks.clear()

@@ -1,10 +1,14 @@
 """A new epoch of a log that was not restored."""
 
+from contextlib import ExitStack
+from typing import Any
+
+import psycopg
 import pytest
 
 from events import Catalogue
 from store import BadRequest, Log, LogUnavailable, epochs, verify
-from store.epochs import Life, begin_epoch, life_of
+from store.epochs import Life, begin_epoch, life_of, others
 from tests.store.samples import GATE, append
 
 
@@ -33,6 +37,21 @@ def test_a_log_in_use_keeps_its_epoch(log: Log, monkeypatch: pytest.MonkeyPatch)
     log.head()
     with pytest.raises(BadRequest, match=r"the log is in use: .*Next: stop vian serve, vian sync"):
         begin_epoch(log.dsn, 2)
+    assert life_of(log.dsn).epoch == 1
+
+
+def test_who_opened_the_log_before_it_was_locked_keeps_its_epoch(log: Log, monkeypatch: pytest.MonkeyPatch) -> None:
+    log.close()
+    with ExitStack() as late:
+
+        def counted(connection: "psycopg.Connection[Any]") -> int:
+            count = others(connection)
+            late.enter_context(Log(log.dsn, Catalogue.shipped())).head()
+            return count
+
+        monkeypatch.setattr(epochs, "others", counted)
+        with pytest.raises(BadRequest, match="the log is in use: "):
+            begin_epoch(log.dsn, 2)
     assert life_of(log.dsn).epoch == 1
 
 

@@ -18,6 +18,7 @@ from store import Log, LogUnavailable, verify
 from store.log import Transaction
 from store.payloads import put_back, weights
 from sync import FilterFailed, Plan
+from sync.keeping.gone import GoneRecorder
 from sync.keeping.pruning import Proven, take_off_held, take_off_recorded
 from sync.plans.deriving import Deriver, DerivingChore
 from sync.plans.entries import derived_name
@@ -382,6 +383,24 @@ def test_segments_that_were_given_up_are_passed_over(station_log: Log) -> None:
     made = plan(station_log, filtered("true"))
     run(Deriver(station_log, BRNO))
     assert frames(derived(station_log, made)) == [0, 1, 2, 6, 7, 8]
+
+
+def test_what_was_gone_at_both_sides_stays_out_when_it_is_back_and_another_filter_has_it(station_log: Log) -> None:
+    append_points(station_log, GATE, [3, 3])
+    first = next(station_log.read(GATE))
+    prune(station_log, 1)
+    GoneRecorder(station_log, BRNO, lambda: NOON).record(station_log.read(GATE, with_hollow=True))
+    made = plan(station_log, filtered("true"))
+    deriver = Deriver(station_log, BRNO)
+    run(deriver)
+    with station_log.transaction() as transaction:
+        put_back(transaction, 1, first.payload)
+    append_points(station_log, YARD, [1])
+    run(deriver)
+    assert frames(derived(station_log, made)) == [3, 4, 5]
+    made = plan(station_log, filtered("frame >= 0"))
+    run(deriver)
+    assert frames(derived(station_log, made)) == list(range(6))
 
 
 def test_a_pruned_segment_stops_the_stream_and_it_goes_on_by_itself_when_it_is_back(station_log: Log) -> None:

@@ -93,3 +93,16 @@ def test_what_was_given_up_is_no_surprise(station_log: Log, central_log: Log, ma
     assert gone_in(station_log, BRNO) == gone_in(central_log, CENTRAL) == []
     found = verify(central_log, station=CENTRAL)
     assert (found.is_sound, found.hollow, found.unrecorded) == (True, 1, 0)
+
+
+def test_what_is_noted_of_one_life_of_a_stream_hides_nothing_of_another(
+    station_log: Log, make_daemon: MakeDaemon, make_log: Callable[[], Log], serve: Serve
+) -> None:
+    append_points(station_log, GATE, [3])
+    prune(station_log, 1)
+    restored = make_log()
+    catch_up(make_daemon(address=serve(central_app(restored))))
+    accept(restored, CENTRAL, [Gone(GATE, 2, 1, 3)], NOON)
+    assert gone_in(restored, CENTRAL) == [Gone(GATE, 1, 1, 3)]
+    accept(restored, CENTRAL, [Gone(GATE, 1, 1, 3)], NOON)
+    assert gone_in(restored, CENTRAL) == []

@@ -306,3 +306,32 @@ def test_a_daemon_does_so_by_itself(station: Log, central: Log, link: Central) -
     assert did.count("repaired") == 2
     assert verify(central, station="praha").is_sound
     assert [each.payload for each in contents(central)] == [each.payload for each in contents(station)]
+
+
+def test_what_its_station_lost_too_is_asked_once(station: Log, central: Log, link: Central) -> None:
+    for log in (station, central):
+        with log.transaction() as transaction:
+            take_off(transaction, [1])
+    damage_central(central)
+    Wanted(central).ask(list(hollow_payloads(central, GATE, 1, 3)))
+    plan = Plan.of({"entries": [{"stream": "*/*/track_point"}]})
+    done = []
+    for _ in range(2):
+        daemon = Daemon(station, BRNO, plan, link, now=lambda: NOON, random=lambda: 0.5)
+        did = []
+        while "nothing" not in did:
+            did.append(daemon.step().did)
+        done.append(did.count("repaired"))
+    assert done == [3, 0]
+    assert Wanted(central).of(BRNO) == []
+
+
+def test_where_too_much_is_wanted_the_rest_is_named(central: Log, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sync.keeping.repair.WANTED_MAX", 2)
+    with central.transaction() as transaction:
+        take_off(transaction, [1, 2, 3, 4])
+    wanted = Wanted(central)
+    first, second, *_ = gone = list(hollow_payloads(central, GATE, 1, 99))
+    assert wanted.ask([second]) == []
+    assert wanted.ask([*gone]) == gone[2:]
+    assert wanted.of(BRNO) == [second, first]

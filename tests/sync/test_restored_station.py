@@ -36,9 +36,9 @@ def test_central_keeps_what_came_after_the_backup_and_takes_the_new_epoch(
         append_points(log, stream_of(), [4, 1])
         daemon = make_daemon(log=log)
         daemon.catch_up()
-        status = {(each.stream, each.epoch): (each.error, each.backlog) for each in daemon.status().streams}
-        assert status[stream_of(), 1] == (None, 0)
-        assert status[stream_of(), 2] == (None, 0)
+        status = {(each.stream, each.epoch): each for each in daemon.status().streams}
+        of_both = [status[stream_of(), epoch] for epoch in (1, 2)]
+        assert [(each.error, each.backlog, each.is_apart) for each in of_both] == [(None, 0, False)] * 2
     points = [(head.epoch, head.sequence) for head in central_log.streams() if head.stream == stream_of()]
     assert points == [(1, 5), (2, 5)]
     after = stored(central_log)

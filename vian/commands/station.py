@@ -16,7 +16,7 @@ from vian import options
 from vian.admission import invited, registry_for
 from vian.clock import utc_now
 from vian.enrolling import enrol_at
-from vian.epochs import disagreements, greet, settle_epoch
+from vian.epochs import compare, settle_epoch
 from vian.errors import WrongUsage
 from vian.membership import check_address, load_membership, membership_path, save_membership
 from vian.options import bare_database, opened, settings_for
@@ -195,14 +195,13 @@ def new_epoch(
         )
     with opened(settings, data_dir=data_dir, is_made=True) as log:
         before = log.epoch
-        cursors = greet(log, name, peer, utc_now()).cursors
-        found = disagreements(log, name, cursors)
+        answer, found = compare(log, name, peer, utc_now())
     if all(each.is_past for each in found):
         raise WrongUsage(
             f"what central holds of {name} is of this log, which is in epoch {before}: it needs no new epoch. "
             "Next: vian sync doctor"
         )
-    epoch = 1 + max(before, *(cursor.epoch for cursor in cursors))
+    epoch = 1 + max(before, *(cursor.epoch for cursor in answer.cursors))
     with bare_database(settings, data_dir=data_dir) as (address, _):
         begin_epoch(address, epoch)
     Output(is_json=as_json).result(

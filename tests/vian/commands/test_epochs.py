@@ -170,6 +170,7 @@ def test_a_disk_that_was_put_back_goes_on_in_a_new_epoch_by_the_command_that_its
     assert put_back.sync().code == 0
     assert put_back.doctor()["epoch"] == "note"  # of its plan there are two histories now
     assert (central.held(), central.held(YARD)) == ([(1, 24), (2, 6)], [(1, 5)])
+    assert {each["events"] for each in put_back.streams()} == {0}
 
 
 def test_what_a_put_back_disk_recorded_before_its_new_epoch_is_named_and_stays(
@@ -199,6 +200,30 @@ def test_what_a_put_back_disk_recorded_before_its_new_epoch_is_named_and_stays(
     assert (again.code, "it needs no new epoch" in again.words) == (2, True)
     with reopened(put_back.log) as log:
         assert [(head.epoch, head.sequence) for head in log.streams() if head.stream == GATE] == [(1, 29), (2, 6)]
+
+
+def test_it_is_named_too_where_central_has_more_of_the_epoch_before(
+    central: Central, machines: Iterator[Machine]
+) -> None:
+    before, put_back = next(machines), next(machines)
+    central.enrol(before)
+    before.append(20)
+    before.append(4, x=7.0)
+    before.append(8, x=7.0)
+    before.sync()
+    put_back.append(20)
+    put_back.append(9, x=8.0)
+    central.enrol(put_back)
+    assert put_back.vian("station", "new-epoch").code == 0
+    put_back.append(6)
+    assert put_back.doctor()["epoch"] == "note"
+
+    assert put_back.sync().code == 0
+
+    assert central.held() == [(1, 32), (2, 6)]
+    (kept,) = [each for each in put_back.streams() if (each["stream"], each["epoch"]) == (str(GATE), 1)]
+    assert (kept["events"], kept["is_apart"]) == (0, True)
+    assert f"vian evidence export --stream {GATE} --epoch 1" in " ".join(put_back.status().split())
 
 
 def test_a_machine_without_a_central_is_told_how_to_join_one(machines: Iterator[Machine]) -> None:

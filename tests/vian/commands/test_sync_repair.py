@@ -88,6 +88,19 @@ def test_central_asks_the_stations(log: Log, station: Log, on_central: Run) -> N
     assert [each.first_sequence for each in Wanted(log).of(BRNO)] == [4]
 
 
+def test_central_tells_what_it_cannot_ask_yet(
+    log: Log, station: Log, on_central: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sync.keeping.repair.WANTED_MAX", 1)
+    with log.transaction() as transaction:
+        take_off(transaction, [1, 2])
+    ran = on_central("sync", "repair", "--stream", str(GATE), "--json")
+    assert [(row["from"], row["failure"][:35]) for row in objects(ran.out)] == [
+        (1, "station brno is asked for it at its"),
+        (4, "station brno is not asked for it ye"),
+    ]
+
+
 def test_who_is_not_enrolled_is_told_how(station: Log, at_station: Run) -> None:
     damage(station, "update segments set payload = 'x' where position = 1")
     ran = at_station("sync", "repair")

@@ -15,6 +15,7 @@ from store import Log
 from store.payloads import weights
 from sync.central.refusals import Kind, Refusals
 from sync.keeping.pruning import Proven, take_off_held
+from sync.keeping.repair import Wanted
 from sync.protocol.reports import CHECKPOINT, Status, StreamStatus
 from tests.conftest import MakeLog
 from tests.vian.conftest import Ran, Run
@@ -376,8 +377,10 @@ def test_what_is_gone_at_both_sides_is_loud_until_it_is_noted(
     assert "every hash is right, but payloads are gone: " in said(verified)
     asked = run("sync", "repair", "--stream", str(GATE), "--station", "central", *on_central)
     assert "station brno is asked for it at its next hello" in said(asked)
+    assert len(Wanted(central).of(BRNO)) == 1
     noted = run("sync", "repair", "--lost", "--station", "central", *on_central)
     assert "1 ranges are noted as lost" in said(noted)
+    assert Wanted(central).of(BRNO) == []
     assert run("verify", "--station", "central", *on_central).code == 0
 
 
