@@ -31,7 +31,8 @@ def enrolment(settings: Settings) -> Membership:
     if membership is None:
         raise WrongUsage(
             "this station belongs to no central server that it could ask. "
-            "Next: vian station enrol CODE --central URL, with the code that vian station invite makes there"
+            "Next: vian station enrol CODE --central URL, with the code that vian station invite makes there; "
+            "on central itself, the same command without --central"
         )
     return membership
 

@@ -25,6 +25,7 @@ from vian.errors import VianError
 from vian.findings import Finding, Verdict
 from vian.log_checks import check_clock, check_horizon
 from vian.membership import Membership, load_membership
+from vian.output import counted
 from vian.peers import Peer, peer_of
 from vian.replication import load_plan
 from vian.settings import Settings
@@ -108,7 +109,7 @@ def _daemon(view: StationView) -> Iterator[Finding]:
     elif view.state == "silent":
         yield Finding("daemon", Verdict.BAD, "it says nothing any more. Next: start vian sync or vian serve")
     elif view.failures:
-        yield Finding("daemon", Verdict.BAD, f"{view.failures} failures in a row: {view.last_error}")
+        yield Finding("daemon", Verdict.BAD, f"{counted(view.failures, 'failure')} in a row: {view.last_error}")
     else:
         yield Finding("daemon", Verdict.OK, f"{view.state.replace('_', ' ')}, {view.events} events wait")
     if view.other_daemons:
