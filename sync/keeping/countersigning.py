@@ -28,7 +28,7 @@ from store.keys import is_signed
 from store.proof import ALGORITHM, checkpoint_of, checkpoint_stream, key_id, statement_bytes, statement_hash
 from sync.errors import BadAnswer, Refusal, WireError
 from sync.keeping.countersigned import Held, countersigned_bytes, held_in, held_text, is_countersigned
-from sync.keeping.held import held_of
+from sync.keeping.held import hash_at, held_of
 from sync.keeping.wholeness import Wholeness
 from sync.protocol.wire import Countersigned, CountersignRequest, parse
 from sync.runs import Point, Runs, StreamKey, are_held
@@ -128,8 +128,7 @@ def _hash_at(log: Log, head: StreamHead) -> bytes | None:
         ).fetchone()
     if found is not None and found[0] >= head.sequence:
         return bytes(found[1]) if found[0] == head.sequence else None
-    sealed = next(log.read(stream, head.sequence, epoch=head.epoch, with_hollow=True), None)
-    return sealed.chain_hash if sealed is not None and sealed.header.last_sequence == head.sequence else None
+    return hash_at(log, stream, head.epoch, head.sequence)  # it is sealed
 
 
 def _not_held(stream: StreamName, asked: CountersignRequest) -> Refusal:

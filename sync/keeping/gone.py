@@ -16,7 +16,7 @@ from store import ChainBroken, Log
 from store.absence import Absence, recorded, without
 from store.payloads import Weight
 from sync.errors import Damaged
-from sync.keeping.pruning import Span, record_of, spans_of
+from sync.keeping.pruning import loss_of, record_of, spans_of
 
 REASON = "it was pruned here when central held it, and was sent once more because central lacks it"
 
@@ -56,7 +56,7 @@ class GoneRecorder:
         known = self._recorded(hollow)
         spans = spans_of(_weight(each) for each in hollow if not known.is_lost(each))
         if spans:
-            events = [_loss(span, self._now()) for span in spans]
+            events = [loss_of(span, self._now(), REASON, None) for span in spans]
             self._log.append([record_of(self._station, events)], from_reserve=True)
         return [Gone(each.stream, each.epoch, each.first_sequence, each.last_sequence) for each in spans]
 
@@ -183,19 +183,4 @@ def _weight(segment: Segment) -> Weight:
         header.time_max,
         segment.recorded_at,
         0,
-    )
-
-
-def _loss(span: Span, now: datetime) -> LossRecorded:
-    return LossRecorded(
-        time=now,
-        stream=str(span.stream),
-        what="segments",
-        count=span.segments,
-        first_sequence=span.first_sequence,
-        last_sequence=span.last_sequence,
-        lost_from_at=span.time_min,
-        lost_until_at=span.time_max,
-        reason=REASON,
-        policy=None,
     )

@@ -5,7 +5,7 @@ Contract: reads only; a stream that holds nothing is not there.
 
 from collections.abc import Iterable
 
-from events import Station
+from events import Station, StreamName
 from store import Log
 from sync.runs import Runs, StreamKey
 
@@ -28,3 +28,14 @@ def runs_of(log: Log, keys: Iterable[StreamKey]) -> dict[StreamKey, Runs]:
     wanted = list(keys)
     runs = log.some_runs(wanted)
     return {key: tuple(runs.get(key, ())) for key in wanted}
+
+
+def hash_at(log: Log, stream: StreamName, epoch: int, sequence: int) -> bytes | None:
+    """The chain hash of the segment that ends there; None where none does here.
+
+    Raises:
+        ChainBroken: The segment cannot be read.
+        LogUnavailable: The database is away.
+    """
+    segment = next(log.read(stream, sequence, epoch=epoch, with_hollow=True), None)
+    return None if segment is None or segment.header.last_sequence != sequence else segment.chain_hash

@@ -27,6 +27,7 @@ from sync.keeping.pruning import (
     Proof,
     Span,
     bounded,
+    loss_of,
     pruned,
     record_of,
     spans_of,
@@ -163,18 +164,8 @@ class DiskWatch:
         reason = f"the disk had {free} MiB free, {least} MiB must stay free, and central lacks them"
         if lot.kind.is_awaited:
             reason += f"; {self._awaited[span.stream].stream} had not been derived from them"
-        return LossRecorded(
-            time=now,
-            stream=str(span.stream),
-            what="segments",
-            count=span.segments,
-            first_sequence=span.first_sequence,
-            last_sequence=span.last_sequence,
-            lost_from_at=span.time_min,
-            lost_until_at=span.time_max,
-            reason=reason,
-            policy=f"give_up: {lot.entry.stream}, older than {lot.entry.older_than.total_seconds():.0f} s",
-        )
+        policy = f"give_up: {lot.entry.stream}, older than {lot.entry.older_than.total_seconds():.0f} s"
+        return loss_of(span, now, reason, policy)
 
     def _lots(self, policy: Sequence[GiveUp], now: datetime) -> Iterator[_Lot]:
         """All that may go, in order and in bounded lots; one may be empty, so that no step looks through more."""

@@ -16,6 +16,7 @@ from events import (
     CheckpointCountersigned,
     Draft,
     EventType,
+    LossRecorded,
     Producer,
     SegmentsPruned,
     Station,
@@ -92,6 +93,22 @@ def spans_of(chosen: Iterable[Weight]) -> list[Span]:
             one = _joined(spans.pop(), one)
         spans.append(one)
     return spans
+
+
+def loss_of(span: Span, now: datetime, reason: str, policy: str | None) -> LossRecorded:
+    """The event that says that the span's payloads are lost."""
+    return LossRecorded(
+        time=now,
+        stream=str(span.stream),
+        what="segments",
+        count=span.segments,
+        first_sequence=span.first_sequence,
+        last_sequence=span.last_sequence,
+        lost_from_at=span.time_min,
+        lost_until_at=span.time_max,
+        reason=reason,
+        policy=policy,
+    )
 
 
 def _follows(before: Span, span: Span) -> bool:

@@ -8,9 +8,10 @@ Signatures by other keys, as of a central of before, are counted and prove nothi
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
-from events import CheckpointCountersigned, EventError, Segment, Station, StreamName, decode, events_of
+from events import CheckpointCountersigned, EventError, Segment, Station, decode, events_of
 from store import ChainBroken, Log
 from sync.keeping.countersigned import Held, held_in, is_countersigned
+from sync.keeping.held import hash_at
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +65,7 @@ def _contradictions(log: Log, event: CheckpointCountersigned) -> Iterator[str]:
     """Where the log has another chain hash than central signed."""
     for held in held_in(event.held):
         for sequence, said in _places(held):
-            here = _hash_at(log, held.head.stream, held.head.epoch, sequence)
+            here = hash_at(log, held.head.stream, held.head.epoch, sequence)
             if here is not None and here != said:
                 yield (
                     f"central signed the chain hash {said.hex()} at sequence {sequence} of {held.head.stream}, "
@@ -76,9 +77,3 @@ def _places(held: Held) -> Iterator[tuple[int, bytes]]:
     yield held.head.sequence, held.head.chain_hash
     if held.after:
         yield held.after, held.after_hash
-
-
-def _hash_at(log: Log, stream: StreamName, epoch: int, sequence: int) -> bytes | None:
-    """The chain hash of the segment that ends there; None where none does here."""
-    segment = next(log.read(stream, sequence, epoch=epoch, with_hollow=True), None)
-    return None if segment is None or segment.header.last_sequence != sequence else segment.chain_hash

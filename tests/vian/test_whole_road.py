@@ -3,7 +3,6 @@
 The very first payload left the station's disk before it was sent, as on a full disk: the chain goes on without it.
 """
 
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -13,11 +12,12 @@ from tests.conftest import MakeLog
 from tests.store.samples import GATE, YARD, append
 from tests.sync.test_losses import Disk, give_up, watch, work
 from tests.sync.test_repair import contents
-from tests.vian.commands.test_station import STATION_DIR, central, invited, on_central
+from tests.vian.commands.test_station import central, invited, on_central
+from tests.vian.commands.test_sync_repair import at_station
 from tests.vian.conftest import Ran, Run
 from tests.vian.samples import objects
 
-__all__ = ["central", "on_central"]
+__all__ = ["at_station", "central", "on_central"]
 
 
 @pytest.fixture
@@ -32,20 +32,6 @@ def station(make_log: MakeLog) -> Log:
     append(station, GATE, 2, 4)
     append(station, YARD, 2)
     return station
-
-
-@pytest.fixture
-def at_station(station: Log, run: Run, monkeypatch: pytest.MonkeyPatch) -> Run:
-    """Runs a command at the station, which must end well."""
-    path = Path("station.toml")
-    path.write_text(f'dsn = "{station.dsn}"\nstation = "brno"\ndata_dir = "{STATION_DIR.resolve()}"\n')
-
-    def at(*arguments: object) -> Ran:
-        with monkeypatch.context() as there:
-            there.setenv("VIAN_CONFIG", str(path))
-            return run(*arguments)
-
-    return at
 
 
 def done(ran: Ran) -> list[dict[str, Any]]:
