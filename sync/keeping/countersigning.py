@@ -266,10 +266,6 @@ class Countersigning:
             transaction.save_checkpoint(VOID, position)
         self._agreed, self.sequence, self._request = set(), None, None
 
-    def look_again(self) -> None:
-        """Look at the next question what is due, however short ago the last look was."""
-        self._looked_at = None
-
     def gave_up(self) -> None:
         """Central did not sign: the next checkpoint is another chance."""
         self._newest = None

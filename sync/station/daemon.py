@@ -197,7 +197,7 @@ class Daemon:
                 central.
             LogUnavailable: The station's database is away.
         """
-        events, is_looked_over = 0, False
+        events = 0
         stopped: SyncError | LogUnavailable | None = None
         while True:
             step = self.step()
@@ -211,12 +211,9 @@ class Daemon:
             if self._state == "sending":
                 pause(step.sleep_s)
                 continue
-            if is_looked_over:
-                if stopped is not None:
-                    raise stopped
-                return events
-            self._countersigning.look_again()  # What was too early a moment ago may be due, and nobody comes later.
-            is_looked_over = True
+            if stopped is not None:
+                raise stopped
+            return events
 
     def status(self) -> Status:
         """Where each planned stream stands, by the station's log and central's last word.
