@@ -25,7 +25,7 @@ from store import Log
 from store.projector import NAME as PROJECTOR
 
 STATIONS = 100
-_PROCESSES = 4
+_PROCESSES = 2
 _CAMERAS = 5
 """of each station"""
 _WARMING_SEGMENTS = 40
@@ -154,6 +154,7 @@ def _ready(link: Link, folder: Path, groups: Groups) -> Iterator[tuple[Callable[
             assert process.stdout is not None
             process.stdout.readline()
         yield lambda: _tell(processes), lambda: sum(map(_cpu_s, processes))
+        _tell(processes)
         for process in processes:
             if process.wait():
                 raise SystemExit(f"{process.args!r} ended with {process.returncode}")

@@ -1,7 +1,7 @@
 """Many stations' daemons as tasks of one process: python -m benchmarks.sync_stations FOLDER LOG NAME ...
 
 Contract: it sends what waits, says a line when central has that of each, and sends what waits then when it is told a
-line. It ends when central has everything of each.
+line. When central has everything of each it waits for another line, so that its own end is not timed.
 """
 
 import sys
@@ -35,6 +35,7 @@ def main(folder: Path, log_name: str, names: list[str]) -> None:
         sys.stdout.flush()
         sys.stdin.readline()
         list(pool.map(_drain, daemons))
+        sys.stdin.readline()
 
 
 def _drain(daemon: Any) -> None:

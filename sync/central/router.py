@@ -15,7 +15,7 @@ from datetime import UTC, datetime
 from time import monotonic
 from typing import Annotated, Any, Protocol
 
-from fastapi import APIRouter, Depends, Header, Request, Response
+from fastapi import APIRouter, Depends, Request, Response
 
 from events import Segment, Station
 from store import Log
@@ -102,6 +102,10 @@ class Call:
     asked: Asked
     began: float
     """by central's steady clock, later by what the body took to come"""
+    order: str
+    """the station's name for it; empty: none"""
+    follows: str
+    """name of the request on which it goes on; empty: none"""
 
     def took_s(self) -> float:
         """What central took for it until now, in seconds."""
@@ -187,12 +191,14 @@ Opened = Callable[..., AsyncIterator[Call]]
 class Door:
     """Lets in who may speak: makes the dependencies that endpoints of version 2 declare.
 
-    Contract: the order is declared length; signature, session and grant; room; body; the body's digest.
+    Contract: the order is declared length; signature, session and grant; what it follows has come; room; body; the
+    body's digest.
     """
 
     def __init__(self, access: Access, limits: Limits, room: Room) -> None:
         self.access = access
         self.workers = Workers()
+        self.turns = Turns()
         self._limits = limits
         self._room = room
         self._places = Places(
@@ -231,14 +237,35 @@ class Door:
             began, waits = monotonic(), list[float]()
             claim(request, request.headers.get(STATION_HEADER))
             size = check_declared(request, limits)
+            order, follows = (_name(request, header) for header in (ORDER_HEADER, FOLLOWS_HEADER))
             one = await self.workers.do(lambda: asked(request))
             station = one.caller.station
-            with self._places.taken(station):
+            with self._places.taken(station), self.turns.under_way(station, order):
+                await self.turns.wait_until_come(station, follows)
                 async with self._room.taken(station, size):
                     body = await read_signed(request, limits, one.digest, waits.append)
-                    yield Call(one.caller, body, one, began + sum(waits))
+                    yield Call(one.caller, body, one, began + sum(waits), order, follows)
 
         return call
+
+
+def _name(request: Request, header: str) -> str:
+    """The name of a request that the header gives; empty: none.
+
+    Raises:
+        Refusal: It is too long.
+    """
+    name = request.headers.get(header, "")
+    if len(name) > NAME_LENGTH_MAX:
+        raise Refusal(
+            400,
+            "long_name",
+            f"the name in {header} is too long",
+            f"{len(name)} characters",
+            f"at most {NAME_LENGTH_MAX}",
+            "let the daemon of this ViAn send it",
+        )
+    return name
 
 
 def _version_2(
@@ -254,7 +281,7 @@ def _version_2(
 ) -> APIRouter:
     api = APIRouter(prefix=PATH, tags=["sync"], route_class=problem_route(note, cursors_2), responses=RESPONSES)
     attempts = Attempts(monotonic)
-    turns = Turns()
+    turns = door.turns
     small = most.body(ENROL_BYTES_MAX)
 
     async def small_body(request: Request) -> bytes:
@@ -305,8 +332,6 @@ def _version_2(
     @api.post("/segments", summary="A station sends segments; 200 means that they are durable")
     async def segments(
         call: Annotated[Call, Depends(door.opens("segments", REPLICATE, most.body_bytes_max))],
-        order: Annotated[str, Header(alias=ORDER_HEADER, max_length=NAME_LENGTH_MAX)] = "",
-        follows: Annotated[str, Header(alias=FOLLOWS_HEADER, max_length=NAME_LENGTH_MAX)] = "",
     ) -> SegmentsAnswer2:
         caller, size = call.caller, len(call.body)
 
@@ -318,10 +343,11 @@ def _version_2(
             contacts.heard(caller.station, now())
             return answer
 
-        with turns.named(caller.station, order), while_storing():
+        with while_storing():
             records = await door.workers.do(checked, size)
-            await turns.wait_for(caller.station, follows)
+            await turns.wait_until_through(caller.station, call.follows)
             answer = await door.workers.do(stored, size)
+        turns.is_through(caller.station, call.order)
         return answer.model_copy(update={"took_s": call.took_s()})
 
     @api.post("/countersign", summary="Central signs that it holds what a station's checkpoint says")

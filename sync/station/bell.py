@@ -1,7 +1,7 @@
 """The bell: wakes a daemon when its station's log grows.
 
-Contract: what is appended after `arm` ends the next `wait`, so nothing is missed between looking and
-sleeping. It rings by the log's notifications, with the subscription's polling as the floor.
+Contract: what is appended behind the position that was looked at ends the `wait`, so nothing is missed between
+looking and sleeping. It rings by the log's notifications, with the subscription's polling as the floor.
 """
 
 import threading
@@ -20,23 +20,13 @@ class Bell:
         self._log = log
         self._station = station
         self._subscription: Subscription | None = None
-        self._position: int | None = None
 
-    def arm(self) -> None:
-        """Remember where the log stands; what comes behind it wakes the next `wait`."""
-        try:
-            self._position = self._log.head()
-        except LogUnavailable:
-            self._position = None  # The step that follows meets the same, and reports it.
-
-    def wait(self, seconds: float, stop: threading.Event) -> bool:
-        """Sleep until the log has grown since `arm`, the time is up, or `stop` is set; whether it has grown."""
-        if self._position is None:
-            return False
+    def wait(self, position: int, seconds: float, stop: threading.Event) -> bool:
+        """Sleep until the log has grown beyond a position, the time is up, or `stop` is set; whether it has grown."""
         try:
             if self._subscription is None:
                 self._subscription = Subscription(self._log, "sync", stations=[self._station], limit=1)
-            self._subscription.position = self._position
+            self._subscription.position = position
             while seconds > 0 and not stop.is_set():
                 if self._subscription.poll(min(seconds, _WAIT_SECONDS)).segments:
                     return True

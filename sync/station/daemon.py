@@ -45,7 +45,7 @@ from sync.station.chores import Chores
 from sync.station.client import Greeting, Link
 from sync.station.comparing import check_beyond
 from sync.station.contact import Contact
-from sync.station.flights import BACKLOG, Flights, Landed
+from sync.station.flights import BACKLOG, LOOK_SECONDS, Flights, Landed
 from sync.station.outbox import Capacity, Outbox
 from sync.station.pacing import Caps, Meter, Sizer
 from sync.station.reporting import Reporter
@@ -129,6 +129,7 @@ class Daemon:
         self._overtaken = 0
         """live requests that went ahead of the errand that waits"""
         self._log_head = -1
+        self._looked_at = 0.0
         self._plan_place: tuple[int, int] | None = None
         self._is_plan_seen = False
         if all(entry.begin != "now" or entry.now is not None for entry in plan.entries):
@@ -157,12 +158,11 @@ class Daemon:
         bell = Bell(self._log, self._station)
         try:
             while not stop.is_set():
-                bell.arm()
                 step = self.step()
                 if on_step is not None:
                     on_step(step)
                 if step.did == "nothing":
-                    bell.wait(step.sleep_s, stop)
+                    bell.wait(self._log_head, step.sleep_s, stop)
                 elif step.sleep_s:
                     self._pause(step.sleep_s, stop)
         finally:
@@ -324,7 +324,11 @@ class Daemon:
         self._outbox.forget()
 
     def _look(self) -> None:
-        """Take in what the log holds now."""
+        """Take in what the log holds now; while requests are under way not more often than that is worth."""
+        at = self._monotonic()
+        if len(self._flights) and at - self._looked_at < LOOK_SECONDS[0]:
+            return
+        self._looked_at = at
         if self._log.head() != self._log_head:
             self._log_head, heads = self._log.heads(self._station)
             self._standing.look(self._log_head, heads)

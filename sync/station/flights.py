@@ -16,7 +16,7 @@ from sync.station.outbox import Filled, Parcel
 _LIVE_SLOTS = 1
 _FAST_SECONDS = 0.1
 """Requests that are answered within this need not be kept apart."""
-_LOOK_SECONDS = (0.02, 0.2)
+LOOK_SECONDS = (0.02, 0.2)
 """Least and longest wait for an answer before the log is looked at again."""
 _LOOK_SHARE = 0.5
 """That wait, of the time since the last launch: a request that takes long is no reason to look often."""
@@ -111,7 +111,7 @@ class Flights:
 
     def wait(self) -> None:
         """Return when one has landed, or when it is time to look at the log again."""
-        least, longest = _LOOK_SECONDS
+        least, longest = LOOK_SECONDS
         since_s = self._monotonic() - self._launched_at
         wait(self._under_way, min(max(least, _LOOK_SHARE * since_s), longest), FIRST_COMPLETED)
 

@@ -118,26 +118,24 @@ def test_more_streams_than_a_hello_can_name_are_told(
         make_daemon().catch_up()
 
 
-def test_the_bell_rings_for_what_came_since_it_was_armed(station_log: Log) -> None:
+def test_the_bell_rings_for_what_came_since_the_log_was_looked_at(station_log: Log) -> None:
     bell, never = Bell(station_log, BRNO), threading.Event()
-    bell.arm()
+    looked_at = station_log.head()
     append_points(station_log, stream_of(), [1])
-    assert bell.wait(3600, never), "nothing between looking and sleeping is missed"
-    bell.arm()
-    assert not bell.wait(0, never)
+    assert bell.wait(looked_at, 3600, never), "nothing between looking and sleeping is missed"
+    looked_at = station_log.head()
+    assert not bell.wait(looked_at, 0, never)
     stop = threading.Event()
     stop.set()
-    assert not bell.wait(3600, stop)
+    assert not bell.wait(looked_at, 3600, stop)
     bell.close()
 
 
 def test_the_bell_of_a_log_that_is_away_does_not_hold_the_daemon_up(station_log: Log) -> None:
     bell, never = Bell(station_log, BRNO), threading.Event()
-    bell.arm()
     station_log.close()
-    assert not bell.wait(3600, never)
-    bell.arm()
-    assert not bell.wait(3600, never)
+    assert not bell.wait(0, 3600, never)
+    assert not bell.wait(0, 3600, never)
     bell.close()
 
 

@@ -105,39 +105,70 @@ def test_a_body_that_nobody_takes_ends_by_the_deadline() -> None:
                 central._exchange.post("segments", bytes(20_000_000), {}, 1000)
 
 
-def test_a_request_waits_for_the_one_that_it_follows_and_not_for_ever() -> None:
-    turns, order = Turns(wait_s=PATIENCE_S), list[str]()
+def test_a_request_waits_for_the_one_that_it_follows() -> None:
+    turns, order = Turns(PATIENCE_S, PATIENCE_S), list[str]()
 
     async def second() -> None:
-        await turns.wait_for(BRNO, "a-1")
+        await turns.wait_until_come(BRNO, "a-1")
+        order.append("second has room")
+        await turns.wait_until_through(BRNO, "a-1")
         order.append("second")
 
     async def both() -> None:
-        with turns.named(BRNO, "a-1"):
-            waiting = asyncio.create_task(second())
-            await asyncio.sleep(0)
+        waiting = asyncio.create_task(second())
+        await asyncio.sleep(0)
+        order.append("first comes")
+        with turns.under_way(BRNO, "a-1"):
+            while len(order) < 2:
+                await asyncio.sleep(0)
             order.append("first")
         await waiting
-        impatient = Turns(wait_s=0.001)
-        await impatient.wait_for(BRNO, "never-sent")
-        await turns.wait_for(BRNO, "")
-        await turns.wait_for(BRNO, "a-1")  # long through
-        assert not impatient._noted
+        await turns.wait_until_come(BRNO, "a-1")  # long through
+        await turns.wait_until_through(BRNO, "a-1")
+        assert not turns._noted
+        assert not turns._here
 
     asyncio.run(both())
-    assert order == ["first", "second"]
+    assert order == ["first comes", "second has room", "first", "second"]
+
+
+def test_a_request_waits_however_long_the_one_before_waits_for_others() -> None:
+    turns, is_over = Turns(come_s=0.001, through_s=PATIENCE_S), list[bool]()
+
+    async def scene() -> None:
+        with turns.under_way(BRNO, "a-1"):
+            waiting = asyncio.create_task(turns.wait_until_through(BRNO, "a-1"))
+            await asyncio.sleep(0.05)
+            is_over.append(waiting.done())
+        await waiting
+
+    asyncio.run(scene())
+    assert is_over == [False]
+
+
+def test_no_request_waits_for_ever() -> None:
+    async def scene() -> None:
+        turns = Turns(come_s=0.001, through_s=0.001)
+        await turns.wait_until_come(BRNO, "")
+        await turns.wait_until_come(BRNO, "never-sent")
+        await turns.wait_until_through(BRNO, "never-sent")
+        with turns.under_way(BRNO, "itself"):
+            await turns.wait_until_come(BRNO, "itself")
+            await turns.wait_until_through(BRNO, "itself")
+        assert not turns._noted
+
+    asyncio.run(asyncio.wait_for(scene(), PATIENCE_S / 2))
 
 
 def test_who_gives_up_takes_no_turn_from_others_that_wait() -> None:
-    turns = Turns(wait_s=PATIENCE_S)
+    turns = Turns(PATIENCE_S, PATIENCE_S)
 
     async def scene() -> None:
-        patient, gone = (asyncio.create_task(turns.wait_for(BRNO, "a-1")) for _ in range(2))
-        await asyncio.sleep(0)
-        gone.cancel()
-        await asyncio.sleep(0)
-        with turns.named(BRNO, "a-1"):
-            pass
+        with turns.under_way(BRNO, "a-1"):
+            patient, gone = (asyncio.create_task(turns.wait_until_through(BRNO, "a-1")) for _ in range(2))
+            await asyncio.sleep(0)
+            gone.cancel()
+            await asyncio.sleep(0)
         await asyncio.wait_for(patient, PATIENCE_S / 2)
         assert not turns._noted
 
@@ -145,19 +176,19 @@ def test_who_gives_up_takes_no_turn_from_others_that_wait() -> None:
 
 
 def test_a_request_that_fails_is_through_as_well() -> None:
-    turns = Turns(wait_s=PATIENCE_S)
-    with suppress(ValueError), turns.named(BRNO, "a-1"):
+    turns = Turns(PATIENCE_S, PATIENCE_S)
+    with suppress(ValueError), turns.under_way(BRNO, "a-1"):
         raise ValueError
 
-    asyncio.run(turns.wait_for(BRNO, "a-1"))
+    asyncio.run(asyncio.wait_for(turns.wait_until_come(BRNO, "a-1"), PATIENCE_S / 2))
 
 
 def test_few_names_of_few_stations_are_remembered(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sync.central.turns._STATIONS_MAX", 2)
-    turns = Turns(wait_s=0.001)
+    turns = Turns()
     for station in ("a", "b", "c"):
         for number in range(100):
-            with turns.named(station_name(station), str(number)):
+            with turns.under_way(station_name(station), str(number)):
                 pass
 
     assert {name: len(names) for name, names in turns._through.items()} == {"b": 16, "c": 16}

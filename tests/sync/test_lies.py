@@ -83,16 +83,15 @@ def test_no_more_streams_are_taken_than_an_answer_to_hello_can_name(
 
 
 def test_requests_that_follow_none_keep_no_more_than_a_few_bodies() -> None:
-    turns = Turns(60.0)
+    turns = Turns(60.0, 60.0)
 
     async def many() -> None:
-        waiting = [asyncio.create_task(turns.wait_for(BRNO, "never")) for _ in range(WAITING_MAX + 1)]
+        waiting = [asyncio.create_task(turns.wait_until_come(BRNO, "never")) for _ in range(WAITING_MAX + 1)]
         let_on, still = await asyncio.wait(waiting, timeout=30, return_when=asyncio.FIRST_COMPLETED)
         assert (len(let_on), len(still)) == (1, WAITING_MAX)
-        with turns.named(BRNO, "never"):
+        with turns.under_way(BRNO, "never"):
             pass
         await asyncio.wait_for(asyncio.gather(*still), 30)
-        await turns.wait_for(BRNO, "never")
         assert not turns._noted
 
     asyncio.run(many())

@@ -6,6 +6,7 @@ import socket
 import ssl
 import threading
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from datetime import timedelta
@@ -25,7 +26,7 @@ from sync.central.refusals import Refusals
 from sync.central.router import Limits, router
 from sync.protocol.enrolment import Enrol, new_secret
 from sync.protocol.signing import RequestSigner
-from sync.protocol.wire import PATH, Hello, Record, encode_records
+from sync.protocol.wire import FOLLOWS_HEADER, ORDER_HEADER, PATH, Hello, Record, encode_records
 from tests.sync.test_losses import Disk
 from tests.vian.samples import GATE, PRODUCER, START, points
 from vian.api import bind, create_app, serving
@@ -114,6 +115,14 @@ def segment_of(stream: StreamName = GATE, count: int = 3, payload: bytes | None 
     data = draft.payload if payload is None else payload
     payload_hash = hashlib.sha256(data).digest()
     return Segment(header, data, payload_hash, chain(bytes(32), header, payload_hash), Position(0), START)
+
+
+def segments_in_a_row() -> tuple[Segment, Segment]:
+    """A stream's first two segments."""
+    first = segment_of()
+    header = replace(first.header, first_sequence=first.header.last_sequence + 1)  # type: ignore[arg-type]
+    data, payload_hash = first.payload, first.payload_hash
+    return first, Segment(header, data, payload_hash, chain(first.chain_hash, header, payload_hash), Position(0), START)
 
 
 def one_segment(stream: StreamName = GATE, **given: Any) -> bytes:
@@ -346,6 +355,26 @@ def test_a_longer_body_than_declared_is_not_read(central: Served, brno: Client) 
         answer = connection.recv(65536)
     assert answer.startswith(b"HTTP/1.1 200 ")
     assert central.stored == 1
+
+
+def test_a_request_of_a_long_name_is_refused(central: Served, brno: Client) -> None:
+    for header in (ORDER_HEADER, FOLLOWS_HEADER):
+        request = brno.request("segments", one_segment())
+        request.headers[header] = "a" * 65
+        assert told(brno.http.send(request), 400) == "long_name"
+    assert central.stored == 0
+
+
+def test_the_second_request_is_stored_behind_the_first_though_it_comes_before(central: Served, brno: Client) -> None:
+    first, second = segments_in_a_row()
+    bodies = encode_records([Record(first, bytes(32))]), encode_records([Record(second, first.chain_hash)])
+    one, other = (brno.request("segments", body) for body in bodies)
+    one.headers[ORDER_HEADER] = other.headers[FOLLOWS_HEADER] = "a-1"
+    with ThreadPoolExecutor(1) as thread:
+        later = thread.submit(central.http().send, other)
+        assert brno.http.send(one).status_code == 200
+        assert later.result().status_code == 200
+    assert central.stored == 2
 
 
 def test_a_slow_body_is_given_up(central: Served, brno: Client) -> None:
