@@ -41,7 +41,7 @@ from store.embedded import EmbeddedServer
 from sync import Plan
 from sync.plans.entries import derived_name
 from sync.plans.planning import planned_in, set_plan
-from tests.faults.load import Process, opened, persistently
+from tests.faults.load import WAIT_S, Process, opened, persistently
 from tests.faults.sync_load import (
     ANSWER_S_MAX,
     CENTRAL,
@@ -265,8 +265,11 @@ class Campaign:
 
     def change_plan(self) -> None:
         """Another filter, while whatever is under way is under way."""
-        planned = persistently(self._station, lambda: planned_in(self._station, STATION))
-        assert planned is not None, "a daemon has set one"
+        deadline = time.monotonic() + WAIT_S
+        while (planned := persistently(self._station, lambda: planned_in(self._station, STATION))) is None:
+            if time.monotonic() > deadline:
+                raise TimeoutError("no daemon has set a plan")
+            self._listen(0.1)  # the first daemon may only just have begun
         plan = next(each for each in PLANS if each.entries != planned.plan.entries)
         persistently(self._station, lambda: set_plan(self._station, STATION, plan, planned.central, _real_now()))
 
