@@ -1,6 +1,6 @@
 """How fast extraction is, beside OpenCV on the same frames in the same run.
 
-    python -m benchmarks.extractors [--quick] [--threads N] [VIDEO ...]
+    python -m benchmarks.extractors [--quick] [--threads N] [--lines N] [VIDEO ...]
 
 Two tables, medians of five rounds in which the candidates take turns:
 
@@ -16,11 +16,13 @@ import statistics
 import tempfile
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
 import av
 import cv2
+import numpy as np
 
 from extractors import scene
 from extractors.media import Frame
@@ -37,16 +39,17 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("videos", nargs="*", type=Path, metavar="VIDEO")
     parser.add_argument("--quick", action="store_true", help="one round of 100 frames")
     parser.add_argument("--threads", type=int, default=1, help="OpenCV's threads (default 1)")
+    parser.add_argument("--lines", type=int, help="bring the pictures to so many lines before motion is measured")
     options = parser.parse_args(arguments)
     cv2.setNumThreads(options.threads)
     rounds, frames_max = (1, 100) if options.quick else (ROUNDS, 400)
     with tempfile.TemporaryDirectory() as folder:
         for video in options.videos or [_street(Path(folder))]:
-            _measure(video, rounds, frames_max)
+            _measure(video, rounds, frames_max, options.lines)
 
 
-def _measure(video: Path, rounds: int, frames_max: int) -> None:
-    pictures = [frame for frame in frames(video) if isinstance(frame, Frame)][:frames_max]
+def _measure(video: Path, rounds: int, frames_max: int, lines: int | None) -> None:
+    pictures = [_of_lines(item, lines) for item in frames(video) if isinstance(item, Frame)][:frames_max]
     height, width = pictures[0].image.shape[:2]
     print(f"\n{video.name}: {len(pictures)} frames of {width}x{height}, {rounds} rounds")
     decoders: dict[str, Callable[[], int]] = {
@@ -74,6 +77,14 @@ def _table(title: str, candidates: dict[str, Callable[[], int]], rounds: int, re
     for name, values in rates.items():
         rate = statistics.median(values)
         print(f"{name:<26}{rate:>10.0f}{1000 / rate:>10.2f}{rate / base:>8.2f}")
+
+
+def _of_lines(frame: Frame, lines: int | None) -> Frame:
+    """The frame, its picture brought to so many lines; as it is without a number."""
+    if lines is None:
+        return frame
+    size = (round(frame.image.shape[1] * lines / frame.image.shape[0]), lines)
+    return replace(frame, image=np.asarray(cv2.resize(frame.image, size, interpolation=cv2.INTER_LINEAR), np.uint8))
 
 
 def _extracted(pictures: list[Frame]) -> int:

@@ -32,7 +32,7 @@ from events.model import (
     Share32,
     UtcTime,
 )
-from events.motion import ActivityInterval, TrackEnded, TrackEndedV1, TrackPoint
+from events.motion import ActivityInterval, Appearance, TrackEnded, TrackEndedV1, TrackEndedV2, TrackPoint
 from events.names import Source, Station, StreamName, TypeName, source_name, station_name, type_name
 from events.plates import PlateRead
 from events.proof import CheckpointSigned, LossRecorded
@@ -77,6 +77,7 @@ __all__ = [
     "SHIPPED",
     "ActivityInterval",
     "Allowed",
+    "Appearance",
     "AtDoor",
     "Base",
     "CameraCalibrated",
@@ -139,6 +140,7 @@ __all__ = [
     "Tally",
     "TrackEnded",
     "TrackEndedV1",
+    "TrackEndedV2",
     "TrackPoint",
     "TypeName",
     "UnknownType",

@@ -17,7 +17,7 @@ from events.columns import EventBatch, schema_of
 from events.errors import EventError, UnknownType, UpcastFailed
 from events.media import VideoAdded
 from events.model import EventType
-from events.motion import ActivityInterval, TrackEnded, TrackPoint
+from events.motion import ActivityInterval, Appearance, TrackEnded, TrackPoint
 from events.plates import PlateRead
 from events.proof import CheckpointSigned, LossRecorded
 from events.relations import GroupSeen, Occupancy, PairDistance, StageDeployed, Tally
@@ -58,6 +58,7 @@ SHIPPED: tuple[type[EventType], ...] = (
     ZoneRemoved,
     CameraCalibrated,
     SceneChanged,
+    Appearance,
     SituationShadowed,
     RuleRetired,
     RuleMissed,

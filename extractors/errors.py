@@ -1,6 +1,7 @@
 """What can go wrong in extraction.
 
 ExtractorError
+├── DetectorFailed          a detector's model cannot be opened, or stopped on a picture
 └── VideoError              a video that cannot be read, wholly or from some frame on
     ├── VideoUnreadable     not there, not a file, no permission, empty, or not a video
     ├── VideoHasNoFrames    a video whose frames cannot be decoded, not one of them
@@ -11,6 +12,10 @@ ExtractorError
 
 class ExtractorError(Exception):
     """Base of every error that the package `extractors` raises."""
+
+
+class DetectorFailed(ExtractorError):
+    """A detector's model cannot be opened, or stopped on a picture."""
 
 
 class VideoError(ExtractorError):

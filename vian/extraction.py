@@ -17,6 +17,7 @@ from typing import Any, TypeVar
 
 from events import (
     ActivityInterval,
+    Appearance,
     EventBatch,
     EventType,
     ProcessFailed,
@@ -44,7 +45,15 @@ from vian.exclusive import exclusively
 
 E = TypeVar("E", bound=EventType)
 
-_SAID_BY_A_PROCESS = (TrackPoint, TrackEnded, ActivityInterval, ProcessProgressed, ProcessFinished, ProcessFailed)
+_SAID_BY_A_PROCESS = (
+    TrackPoint,
+    TrackEnded,
+    Appearance,
+    ActivityInterval,
+    ProcessProgressed,
+    ProcessFinished,
+    ProcessFailed,
+)
 """Event types of the streams that a process appends to while it runs."""
 
 PROGRESS_EVERY_S = 10.0
@@ -92,6 +101,8 @@ class Job:
     started_at: datetime | None = None
     """wall-clock time of the first frame; from the file's metadata or its modification time by default"""
     config: motion.MotionConfig = field(default_factory=motion.MotionConfig)
+    detector: motion.Detector | None = None
+    """finds the objects, where `config.detector` is a model's hash"""
     stamp: Stamp = wall_clock
     run: int = 1
     """1 for the first time, more for a repetition of the same extraction as a new process"""
@@ -178,6 +189,7 @@ class _Run:
             self._job.config,
             start_time=self._added.started_at,
             first_track_id=first_track_id,
+            detector=self._job.detector,
         )
         try:
             for step in steps:

@@ -49,6 +49,8 @@ class Decision:
     """whether a track's box was cut out of a blob that holds something else besides, `(n,)`"""
     free_xyxy: BoxesXyxy
     """blobs that no track took, `(k, 4)`"""
+    doubts: npt.NDArray[np.float64] | None = None
+    """how many times less than a clear view each track's box says, `(n,)`; None where `is_shared` says it"""
 
 
 def decide(

@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 NAME = "motion"
 """name of this extractor in the log"""
-VERSION = "1"
+VERSION = "2"
 """version of its method; a change that says other things for the same frames raises it"""
 
 Share = Annotated[float, Field(ge=0, le=1)]
@@ -24,6 +24,11 @@ class MotionConfig(BaseModel):
     """How motion is found and followed."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
+
+    detector: str = "motion"
+    """what finds objects: `motion`, or the SHA-256 of a model file"""
+    classes: tuple[int, ...] | None = None
+    """numbers of the model's classes that are followed; all where null"""
 
     analysis_lines: Annotated[int, Field(ge=60)] = 360
     """pictures with twice this height or more are first shrunk by the whole number that brings them
@@ -53,13 +58,54 @@ class MotionConfig(BaseModel):
     """standard deviation of a measured position, of the object's size (root of its box's area)"""
     size_noise: Positive = 0.12
     """standard deviation of a measured width or height, of the object's size"""
-    acceleration: Positive = 0.8
+    acceleration: Positive = 0.5
     """standard deviation of the acceleration, object sizes per s² and root of Hz"""
     size_drift: Positive = 0.5
     """standard deviation of the change of width and height after one second, of the object's size"""
     gate: Positive = 16.0
     """largest squared Mahalanobis distance between a track and a detection it may take (chi-square, 2
     degrees of freedom: 16 is 99.97 %)"""
+
+    score_sure: Share = 0.6
+    """score from which a detection is sure"""
+    score_new: Share = 0.7
+    """score from which a detection may begin a track"""
+    score_min: Share = 0.1
+    """score from which a detection may go on with one"""
+    overlap_min: Share = 0.2
+    """least intersection over union of a track's expected box and a sure detection, where it may take it"""
+    overlap_doubtful_min: Share = 0.4
+    """the same for a doubtful detection"""
+    overlap_double: Share = 0.6
+    """from this intersection over union with a tracked box on, a detection is the same object, found twice"""
+    appearance_cost: Annotated[float, Field(ge=0)] = 1.0
+    """cost of looking altogether different, in units of no overlap at all"""
+
+    unlike_max: Share = 0.3
+    """a track that was lost takes a detection within its reach only if their looks differ less ..."""
+    reach_size: Positive = 1.0
+    """... within so many object sizes, for what a missing picture or a sudden turn makes ..."""
+    reach_speed: Positive = 1.5
+    """... and so many more a second: a walker does about one and a half"""
+    looks_rate: Share = 0.05
+    """least share of a new view in how a track looks: light changes on the way"""
+
+    size_samples_min: Annotated[int, Field(ge=8)] = 16
+    """clear views of confirmed tracks from which the size of objects is learnt ..."""
+    size_tracks_min: Annotated[int, Field(ge=2)] = 4
+    """... from so many tracks at least ..."""
+    size_samples_max: Annotated[int, Field(ge=8)] = 2000
+    """... and at most: older views give way"""
+    size_step: Positive = 0.25
+    """a track gives another view after a way of this share of its height"""
+    size_spread_max: Positive = 0.2
+    """largest relative deviation of heights within one kind: more means several kinds"""
+    size_share_min: Share = 0.7
+    """share of views that must belong to the kind"""
+    size_deviation_max: Positive = 0.25
+    """largest relative deviation of an expected height that is used"""
+    aspect_max: Positive = 0.8
+    """objects wider than this share of their height are not upright, and are not split by size"""
 
     confirm_s: Positive = 0.4
     """a track is confirmed when seen for this long ..., s"""

@@ -15,8 +15,9 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
-from events import ActivityInterval, EventBatch, TrackEnded, TrackPoint, batch_of, schema_of
+from events import ActivityInterval, Appearance, EventBatch, TrackEnded, TrackPoint, batch_of, schema_of
 from events.segment import microseconds
+from extractors.motion.appearance import METHOD, packed
 from extractors.motion.config import MotionConfig
 from extractors.motion.tracks import Observed, Track
 
@@ -45,6 +46,8 @@ class _Path:
     last_frame: int
     last_us: int
     last_xy: Row
+    box_sum: Row
+    """sum of the boxes `x1 y1 x2 y2`, `(4,)` px"""
     points: int = 1
     length_px: float = 0.0
 
@@ -70,8 +73,10 @@ class Emission:
         self._held: deque[_Picture] = deque()
         self._points: list[tuple[int, int, int, Row]] = []  # time, track number, frame, row
         self._paths: dict[int, _Path] = {}
+        self._seen: dict[int, tuple[int, Row]] = {}  # time and row of the last emitted point that was seen
         self._ended: list[Track] = []
         self._ends: list[TrackEnded] = []
+        self._looks: list[Appearance] = []
         self._activity: _Activity | None = None
         self._intervals: list[ActivityInterval] = []
 
@@ -100,15 +105,17 @@ class Emission:
         self._close_activity()
 
     def take(self) -> tuple[EventBatch, ...]:
-        """The batches of what was released since the last call: points, ends, intervals."""
+        """The batches of what was released since the last call: points, ends, looks, intervals."""
         batches = []
         if self._points:
             batches.append(self._point_batch())
         if self._ends:
             batches.append(batch_of(self._ends))
+        if self._looks:
+            batches.append(batch_of(self._looks))
         if self._intervals:
             batches.append(batch_of(self._intervals))
-        self._points, self._ends, self._intervals = [], [], []
+        self._points, self._ends, self._looks, self._intervals = [], [], [], []
         return tuple(batches)
 
     def _release(self, until_us: int) -> None:
@@ -121,27 +128,55 @@ class Emission:
 
     def _emit(self, picture: _Picture) -> None:
         known = [
-            (track.track_id, row)
+            (track.track_id, self._bridged(track, picture, row))
             for track, row in zip(picture.tracks, picture.rows, strict=True)
             if track.track_id and track.last_seen_frame >= picture.frame
         ]
         for track_id, row in sorted(known, key=lambda pair: pair[0]):
+            if row[-1] > 0:
+                self._seen[track_id] = picture.time_us, row
             self._points.append((picture.time_us, track_id, picture.frame, row))
-            self._extend(track_id, picture, row[:2])
+            self._extend(track_id, picture, row)
         self._note_activity(picture, len(known))
 
-    def _extend(self, track_id: int, picture: _Picture, xy: Row) -> None:
+    def _bridged(self, track: Track, picture: _Picture, row: Row) -> Row:
+        """The row; where nothing was seen, on the straight way between what was seen before and what is next."""
+        before = self._seen.get(track.track_id)
+        if row[-1] > 0 or before is None:
+            return row
+        after = self._next_seen(track)
+        if after is None:
+            return row
+        share = (picture.time_us - before[0]) / (after[0] - before[0])
+        bridged = before[1] + share * (after[1] - before[1])
+        bridged[-1] = 0
+        return bridged
+
+    def _next_seen(self, track: Track) -> tuple[int, Row] | None:
+        """Time and row of the first waiting picture in which the track is seen."""
+        for picture in self._held:
+            for other, row in zip(picture.tracks, picture.rows, strict=True):
+                if other is track and row[-1] > 0:
+                    return picture.time_us, row
+        return None
+
+    def _extend(self, track_id: int, picture: _Picture, row: Row) -> None:
+        xy, box = row[:2], row[2:6]
         path = self._paths.get(track_id)
         if path is None:
-            self._paths[track_id] = _Path(picture.frame, picture.time_us, xy, picture.frame, picture.time_us, xy)
+            self._paths[track_id] = _Path(picture.frame, picture.time_us, xy, picture.frame, picture.time_us, xy, box)
             return
         path.length_px += float(np.hypot(*(xy - path.last_xy)))
         path.last_frame, path.last_us, path.last_xy = picture.frame, picture.time_us, xy
+        path.box_sum = path.box_sum + box
         path.points += 1
 
     def _end(self, track: Track) -> None:
         path = self._paths.pop(track.track_id)
+        self._seen.pop(track.track_id, None)
         assert track.end_reason is not None
+        x1, y1, x2, y2 = path.box_sum / path.points
+        self._note_looks(track, path)
         self._ends.append(
             TrackEnded(
                 time=self._time(path.last_us),
@@ -157,8 +192,25 @@ class Emission:
                 y_exit=path.last_xy[1],
                 reason=track.end_reason,
                 displacement_px=float(np.hypot(*(path.last_xy - path.first_xy))),
+                duration_s=(path.last_us - path.first_us) / 1e6,
+                x1_mean=x1,
+                y1_mean=y1,
+                x2_mean=x2,
+                y2_mean=y2,
             )
         )
+
+    def _note_looks(self, track: Track, path: _Path) -> None:
+        if track.views:
+            self._looks.append(
+                Appearance(
+                    time=self._time(path.last_us),
+                    track_id=track.track_id,
+                    method=METHOD,
+                    descriptor=packed(track.looks),
+                    views=track.views,
+                )
+            )
 
     def _note_activity(self, picture: _Picture, tracks: int) -> None:
         now = self._activity

@@ -8,7 +8,7 @@ It knows neither source nor log: whoever calls it gives the events their stream.
 """
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 
 import cv2
@@ -18,9 +18,14 @@ from events import EventBatch
 from extractors.errors import VideoError
 from extractors.media import Frame, Gap, GapReason, Image
 from extractors.motion import blobs
+from extractors.motion.appearance import described
 from extractors.motion.background import Background, Foreground
 from extractors.motion.config import MotionConfig
+from extractors.motion.covering import explained
+from extractors.motion.detection import Detections, Detector
 from extractors.motion.emission import Emission
+from extractors.motion.held import FOREGROUND, Mask
+from extractors.motion.sizes import SizePrior
 from extractors.motion.tracks import EndReason, Observed, Tracks
 
 DT_MAX_S = 1.0
@@ -32,7 +37,7 @@ class Extraction:
     """What one interval of media time brought, and how far the work has come."""
 
     batches: tuple[EventBatch, ...]
-    """events: points, ends of tracks, activity intervals, in this order; empty where nothing moved"""
+    """events: points, ends of tracks, their looks, activity intervals, in this order; empty where nothing moved"""
     frames: int
     """frames worked on since the beginning"""
     time_us: int
@@ -52,6 +57,17 @@ class Seen:
     observed: Observed
 
 
+@dataclass(frozen=True, slots=True)
+class _Found:
+    """What one picture has."""
+
+    foreground: Foreground
+    mask: Mask
+    """where the objects' pixels are"""
+    blobs_xyxy: blobs.BoxesXyxy
+    objects: blobs.BoxesXyxy | Detections | None
+
+
 OnFrame = Callable[[Frame, Seen], None]
 
 
@@ -61,6 +77,7 @@ def extract(
     *,
     start_time: datetime,
     first_track_id: int = 1,
+    detector: Detector | None = None,
     on_frame: OnFrame | None = None,
 ) -> Iterator[Extraction]:
     """Events of what moves in the frames, an interval of `batch_s` media time at a time.
@@ -70,12 +87,14 @@ def extract(
         config: The parameters.
         start_time: Wall-clock time of the first frame (aware).
         first_track_id: Number of the first track.
+        detector: Finds the objects in each picture; by default they are found by what moves.
         on_frame: Called after each frame with what was made of it.
 
     Raises:
+        DetectorFailed: The detector stopped.
         VideoError: The frames ended with it; everything certain before was yielded.
     """
-    motion = _Motion(config, start_time, first_track_id)
+    motion = _Motion(config, start_time, first_track_id, detector)
     gaps: list[Gap] = []
     step_us = round(config.batch_s * 1e6)
     due_us = step_us
@@ -102,12 +121,17 @@ def extract(
 class _Motion:
     """The method, one frame at a time."""
 
-    def __init__(self, config: MotionConfig, start_time: datetime, first_track_id: int) -> None:
-        self._config = config
+    def __init__(
+        self, config: MotionConfig, start_time: datetime, first_track_id: int, detector: Detector | None
+    ) -> None:
+        # What a model calls an object is one before it moves.
+        self._config = config if detector is None else config.model_copy(update={"confirm_path": 0.0})
+        self._detector = detector
         self._emission = Emission(config, start_time)
         self._next_track_id = first_track_id
         self._tracks: Tracks | None = None
         self._shape: tuple[int, ...] = ()
+        self._sizes: SizePrior | None = None
         self._last: Frame | None = None
         self._frames = 0
 
@@ -118,15 +142,41 @@ class _Motion:
         assert self._tracks is not None
         dt_s = self._dt_s(frame)
         image = shrunk(frame.image, self._factor)
+        found = self._moving(image, dt_s) if self._detector is None else self._modelled(self._detector, frame, image)
+        observed = self._tracks.step(found.objects, frame.index, frame.time_us, dt_s)
+        self._tracks.look(lambda boxes_xyxy: described(image, found.mask, boxes_xyxy))
+        self._emission.add(frame.index, frame.time_us, observed, self._factor, found.foreground.share)
+        self._frames, self._last = self._frames + 1, frame
+        return Seen(self._factor, found.foreground, found.blobs_xyxy, observed)
+
+    def _moving(self, image: Image, dt_s: float) -> _Found:
+        """What moves in the picture."""
+        assert self._tracks is not None
         foreground = self._background.foreground(image, dt_s, self._tracks.standing())
         mask = blobs.cleaned(foreground.mask, self._config)
-        found = blobs.boxes(mask, self._config)
+        boxes = blobs.boxes(mask, self._config)
         self._tracks.disown(foreground.ghosts)
-        trusted = None if foreground.is_light_change else found
-        observed = self._tracks.step(trusted, frame.index, frame.time_us, dt_s)
-        self._emission.add(frame.index, frame.time_us, observed, self._factor, foreground.share)
-        self._frames, self._last = self._frames + 1, frame
-        return Seen(self._factor, foreground, found, observed)
+        objects = None if foreground.is_light_change else self._objects(image, mask, boxes, dt_s)
+        return _Found(foreground, mask, boxes, objects)
+
+    def _modelled(self, detector: Detector, frame: Frame, image: Image) -> _Found:
+        """What the detector sees in the frame."""
+        seen = detector.detect(frame.image)
+        boxes = seen.boxes_xyxy / self._factor
+        mask = np.full(image.shape[:2], FOREGROUND, np.uint8)
+        share = min(1.0, float(blobs.areas(boxes).sum()) / mask.size)
+        objects = replace(seen, boxes_xyxy=boxes, looks=described(image, mask, boxes))
+        return _Found(Foreground(mask, share, is_light_change=False), mask, boxes, objects)
+
+    def _objects(self, image: Image, mask: Mask, found: blobs.BoxesXyxy, dt_s: float) -> blobs.BoxesXyxy | Detections:
+        """Objects of the size that was learnt; blobs, as long as nothing was."""
+        assert self._tracks is not None
+        if self._tracks.sizes.is_due:
+            self._sizes = self._tracks.sizes.learnt()
+        if self._sizes is None:
+            return found
+        objects = explained(mask, found, self._tracks.expected_xyxy(dt_s), self._sizes)
+        return found if objects is None else replace(objects, looks=described(image, mask, objects.boxes_xyxy))
 
     def meet(self, gap: Gap) -> None:
         """Heed a gap: after a change of size, nothing seen before can be followed."""
@@ -148,6 +198,7 @@ class _Motion:
         height, width = self._shape[:2]
         self._factor = max(1, height // self._config.analysis_lines)
         self._background = Background(self._config)
+        self._sizes = None
         self._tracks = Tracks(self._config, width // self._factor, height // self._factor, self._next_track_id)
 
     def _stop(self, reason: EndReason) -> None:

@@ -8,6 +8,7 @@ A track has no number before it is confirmed. `Tracks.step` is one picture; it r
 decide, update, judge, begin. Nothing here knows events.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum, auto
 from typing import Literal
@@ -16,9 +17,13 @@ import numpy as np
 import numpy.typing as npt
 
 from extractors.motion import kalman
+from extractors.motion.appearance import LOOKS, Descriptors, unlikeness
 from extractors.motion.association import Decision, decide
 from extractors.motion.blobs import BoxesXyxy, xywh, xyxy
 from extractors.motion.config import MotionConfig
+from extractors.motion.detection import Detections
+from extractors.motion.matching import matched
+from extractors.motion.sizes import SizeLearner
 
 SHARED_WEIGHTS = np.array([3.0, 3.0, 8.0, 8.0])
 """How much less a box cut out of a shared blob says, of position and size."""
@@ -58,6 +63,12 @@ class Track:
     stood_s: float = 0.0
     """how long it has been near its anchor, s"""
     is_ghost: bool = False
+    seen_xywh: npt.NDArray[np.float64] = field(default_factory=lambda: np.zeros(4))
+    """the last measured box, `x y w h` px"""
+    looks: npt.NDArray[np.float64] = field(default_factory=lambda: np.full(LOOKS, np.nan))
+    """how it looks, the mean over its clear views; NaN before the first"""
+    views: int = 0
+    """number of these views"""
     end_reason: EndReason | None = None
 
     def __post_init__(self) -> None:
@@ -90,6 +101,8 @@ class Tracks:
         self._size = np.array([width, height], float)
         self._next_id = first_track_id
         self._noise = kalman.Noise(config.position_noise, config.size_noise, config.acceleration, config.size_drift)
+        self._sizes = SizeLearner(config)
+        self._clear: list[Track] = []
         self._alive: list[Track] = []
         self._means = np.zeros((0, 6))
         self._covariances = np.zeros((0, 6, 6))
@@ -98,6 +111,17 @@ class Tracks:
     def next_track_id(self) -> int:
         """The number that the next confirmed track gets."""
         return self._next_id
+
+    @property
+    def sizes(self) -> SizeLearner:
+        """What the tracks have shown of their sizes."""
+        return self._sizes
+
+    def expected_xyxy(self, dt_s: float) -> BoxesXyxy:
+        """Where the confirmed tracks are expected `dt_s` from the last picture, `(n, 4)` px."""
+        is_known = [track.track_id > 0 for track in self._alive]
+        means = self._means[is_known]
+        return xyxy(means[:, :4] + dt_s * np.pad(means[:, 4:], ((0, 0), (0, 2))))
 
     def standing(self) -> dict[int, BoxesXyxy]:
         """Boxes `(4,)` of the confirmed tracks that stand still and may go on standing."""
@@ -116,23 +140,41 @@ class Tracks:
             if track.track_id in ghosts:
                 track.is_ghost = True
 
-    def step(self, blobs_xyxy: BoxesXyxy | None, frame: int, time_us: int, dt_s: float) -> Observed:
+    def step(self, found: BoxesXyxy | Detections | None, frame: int, time_us: int, dt_s: float) -> Observed:
         """The tracks after one more picture.
 
         Args:
-            blobs_xyxy: What was found in it, `(m, 4)` px; None when it says nothing.
+            found: What was found in it: blobs `(m, 4)` px, which may hold several objects or parts of one, or
+                detections, each one object; None when it says nothing.
             frame: Its number.
             time_us: Its time, µs.
             dt_s: Time since the one before, s.
         """
         self._means, self._covariances = kalman.predict(self._means, self._covariances, dt_s, self._noise)
-        decision = self._decided(np.zeros((0, 4)) if blobs_xyxy is None else blobs_xyxy)
-        confidence = self._updated(decision)
-        self._judge(confidence > 0, frame, time_us, dt_s, is_blind=blobs_xyxy is None)
+        decision = self._matched(found, time_us) if isinstance(found, Detections) else self._decided(found)
+        confidence = self._updated(decision, time_us)
+        self._judge(confidence > 0, frame, time_us, dt_s, is_blind=found is None)
         ended, is_alive = self._bury()
         begun = self._begin(decision.free_xyxy, frame, time_us)
         confidence = np.concatenate([confidence[is_alive], np.ones(begun)])
         return Observed(tuple(self._alive), self._means, confidence, ended)
+
+    def look(self, view: Callable[[BoxesXyxy], Descriptors]) -> None:
+        """Let the tracks that are clearly seen in this picture take in how they look.
+
+        Args:
+            view: Gives the descriptors of boxes in the picture.
+        """
+        clear = [track for track in self._clear if track.stage is not Stage.ENDED]
+        if not clear:
+            return
+        looks = view(xyxy(np.array([track.seen_xywh for track in clear])))
+        for track, here in zip(clear, looks, strict=True):
+            if np.isnan(here).any():
+                continue
+            track.views += 1
+            rate = max(1 / track.views, self._config.looks_rate)
+            track.looks = here if track.views == 1 else track.looks + rate * (here - track.looks)
 
     def end_all(self, reason: EndReason) -> tuple[Track, ...]:
         """End every track; the confirmed ones are returned."""
@@ -141,27 +183,66 @@ class Tracks:
         ended, _ = self._bury()
         return ended
 
-    def _decided(self, blobs_xyxy: BoxesXyxy) -> Decision:
+    def _matched(self, found: Detections, time_us: int) -> Decision:
+        costs = kalman.distances(self._means, self._covariances, xywh(found.boxes_xyxy), self._noise)
+        is_confirmed = np.array([track.stage is not Stage.TENTATIVE for track in self._alive], bool)
+        last_xywh = np.array([track.seen_xywh for track in self._alive]).reshape(-1, 4)
+        missed_s = np.array([(time_us - track.last_seen_us) / 1e6 for track in self._alive])
+        reach = (self._config.reach_size + self._config.reach_speed * missed_s) * kalman.scale_of(last_xywh)
+        offsets = last_xywh[:, None, :2] - xywh(found.boxes_xyxy)[None, :, :2]
+        away = np.hypot(offsets[..., 0], offsets[..., 1]) / reach[:, None]
+        looks = np.array([track.looks for track in self._alive]).reshape(-1, LOOKS)
+        unlike = unlikeness(looks, found.looks)
+        expected_xyxy = xyxy(self._means[:, :4])
+        return matched(expected_xyxy, xyxy(last_xywh), is_confirmed, found, costs, away, unlike, self._config)
+
+    def _decided(self, blobs: BoxesXyxy | None) -> Decision:
+        blobs_xyxy = np.zeros((0, 4)) if blobs is None else blobs
         costs = kalman.distances(self._means, self._covariances, xywh(blobs_xyxy), self._noise)
         is_confirmed = np.array([track.stage is not Stage.TENTATIVE for track in self._alive], bool)
         expected_xyxy = xyxy(self._means[:, :4])
         is_settled = is_confirmed & ~self._is_cut(expected_xyxy)
         return decide(expected_xyxy, is_confirmed, is_settled, blobs_xyxy, costs, self._config.gate)
 
-    def _updated(self, decision: Decision) -> npt.NDArray[np.float64]:
+    def _updated(self, decision: Decision, time_us: int) -> npt.NDArray[np.float64]:
         """Take the measurements in; how far each track rests on its own."""
         seen = np.flatnonzero(~np.isnan(decision.measured_xyxy[:, 0]))
         measured = decision.measured_xyxy[seen]
         shared = decision.is_shared[seen]
-        weights = np.where(shared[:, None], SHARED_WEIGHTS, 1.0)
+        if decision.doubts is None:
+            weights = np.where(shared[:, None], SHARED_WEIGHTS, 1.0)
+        else:
+            weights = np.repeat(decision.doubts[seen, None], 4, axis=1)
         weights[self._is_cut(measured) & ~shared] = CUT_WEIGHTS
         r = kalman.measurement_noise(self._means[seen], self._noise, weights)
         self._means[seen], self._covariances[seen] = kalman.update(
             self._means[seen], self._covariances[seen], xywh(measured), r
         )
+        self._remember(seen, xywh(measured), time_us)
+        is_clear = ~shared & ~self._is_cut(measured)
+        self._clear = [self._alive[row] for row in seen[is_clear]]
+        self._learn()
         confidence = np.zeros(len(self._alive))
         confidence[seen] = np.where(shared, 0.5, 1.0)
         return confidence
+
+    def _learn(self) -> None:
+        for track in self._clear:
+            if track.stage is Stage.CONFIRMED:
+                self._sizes.add(track.track_id, track.seen_xywh)
+
+    def _remember(self, seen: npt.NDArray[np.intp], measured_xywh: npt.NDArray[np.float64], time_us: int) -> None:
+        """Note where tracks were seen; what comes back after a while gets the speed that brought it there.
+
+        Source: observation-centric re-update of J. Cao et al., "Observation-Centric SORT", CVPR 2023, section
+        4.1, with a straight virtual path.
+        """
+        for row, box in zip(seen, measured_xywh, strict=True):
+            track = self._alive[row]
+            away_s = (time_us - track.last_seen_us) / 1e6
+            if track.stage is Stage.LOST and away_s > self._config.forget_s:
+                self._means[row, 4:] = (box[:2] - track.seen_xywh[:2]) / away_s
+            track.seen_xywh = box
 
     def _judge(self, is_seen: npt.NDArray[np.bool_], frame: int, time_us: int, dt_s: float, *, is_blind: bool) -> None:
         scales = kalman.scale_of(self._means)
@@ -212,13 +293,15 @@ class Tracks:
         """Forget the ended tracks; those among them that had a number, and which are still alive."""
         is_alive = np.array([track.stage is not Stage.ENDED for track in self._alive], bool)
         ended = tuple(t for t in self._alive if t.stage is Stage.ENDED and t.track_id)
+        for track in ended:
+            self._sizes.forget(track.track_id)
         self._alive = [track for track in self._alive if track.stage is not Stage.ENDED]
         self._means, self._covariances = self._means[is_alive], self._covariances[is_alive]
         return ended, is_alive
 
     def _begin(self, blobs_xyxy: BoxesXyxy, frame: int, time_us: int) -> int:
         means, covariances = kalman.born(xywh(blobs_xyxy), self._noise)
-        self._alive += [Track(time_us, _middle(mean), time_us, frame) for mean in means]
+        self._alive += [Track(time_us, _middle(mean), time_us, frame, seen_xywh=mean[:4].copy()) for mean in means]
         self._means = np.concatenate([self._means, means])
         self._covariances = np.concatenate([self._covariances, covariances])
         return len(means)

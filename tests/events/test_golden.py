@@ -13,6 +13,7 @@ from events import (
     EventType,
     TrackEnded,
     TrackEndedV1,
+    TrackEndedV2,
     batch_of_type,
     events_of,
     schema_of,
@@ -84,11 +85,24 @@ _ROOT = 1.4142135381698608
 """Of 2, in 32 bits."""
 
 
-def test_frozen_tracks_of_version_1_are_read_as_version_2() -> None:
+_NO_BOX = dict.fromkeys(("x1_mean", "y1_mean", "x2_mean", "y2_mean"))
+
+
+def test_frozen_tracks_of_version_1_are_read_as_the_newest() -> None:
     frozen = decode_payload((GOLDEN / "track_ended.v1.bin").read_bytes(), schema_of(TrackEndedV1))
     new = Catalogue.shipped().upcast(EventBatch(TrackEndedV1, frozen))
     assert new.type is TrackEnded
+    distances, durations = (767.058837890625, "NaN", _ROOT, _ROOT), (9.5, 315537897600.0, 0.0, 0.0)
     assert [_plain(row) for row in new.data.to_pylist()] == [
-        json.dumps(row | {"displacement_px": distance})
-        for row, distance in zip(_rows("track_ended.v1"), (767.058837890625, "NaN", _ROOT, _ROOT), strict=True)
+        json.dumps(row | {"displacement_px": distance, "duration_s": duration} | _NO_BOX)
+        for row, distance, duration in zip(_rows("track_ended.v1"), distances, durations, strict=True)
+    ]
+
+
+def test_frozen_tracks_of_version_2_are_read_with_their_duration_and_no_mean_box() -> None:
+    frozen = decode_payload((GOLDEN / "track_ended.v2.bin").read_bytes(), schema_of(TrackEndedV2))
+    new = Catalogue.shipped().upcast(EventBatch(TrackEndedV2, frozen))
+    assert [_plain(row) for row in new.data.to_pylist()] == [
+        json.dumps(row | {"duration_s": duration} | _NO_BOX)
+        for row, duration in zip(_rows("track_ended.v2"), (9.5, 1767268800.000001, 0.0, 0.0), strict=True)
     ]

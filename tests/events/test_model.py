@@ -145,7 +145,7 @@ UNITS = {
     "width": "px",
     "height": "px",
     "fps": "1/s",
-    **dict.fromkeys(["x", "y", "x1", "y1", "x2", "y2", "dx", "dy", "_entry", "_exit"], "px"),
+    **dict.fromkeys(["x", "y", "x1", "y1", "x2", "y2", "dx", "dy", "_entry", "_exit", "_mean"], "px"),
     **dict.fromkeys(["vx", "vy"], "px/s"),
     **dict.fromkeys(["confidence", "_share", "_share_max"], "0 "),
     "_m": ", m;",

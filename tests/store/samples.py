@@ -12,6 +12,7 @@ import pytest
 
 from events import (
     ActivityInterval,
+    Appearance,
     CameraCalibrated,
     CheckpointCountersigned,
     CheckpointSigned,
@@ -163,7 +164,13 @@ ONE_OF_EACH: tuple[EventType, ...] = (
         y_exit=4,
         reason="lost",
         displacement_px=2.5,
+        duration_s=3.0,
+        x1_mean=1,
+        y1_mean=2,
+        x2_mean=3,
+        y2_mean=4.5,
     ),
+    Appearance(time=NOON, track_id=3, method="tones-2x16", descriptor=bytes(range(32)), views=5),
     ActivityInterval(
         time=NOON,
         ended_at=NOON + timedelta(seconds=9),

@@ -208,7 +208,8 @@ def test_a_rebuilt_table_has_the_same_rows(log: Log) -> None:
 def test_the_other_types_go_on_during_a_rebuild(log: Log, monkeypatch: pytest.MonkeyPatch) -> None:
     ended = TrackEnded(
         time=NOON, track_id=3, began_at=NOON, first_frame=1, last_frame=2, points=2, path_px=1.5, x_entry=1, y_entry=2,
-        x_exit=3, y_exit=4, reason="lost", displacement_px=2.8,
+        x_exit=3, y_exit=4, reason="lost", displacement_px=2.8, duration_s=0, x1_mean=None,
+        y1_mean=None, x2_mean=None, y2_mean=None,
     )  # fmt: skip
     endings = StreamName.of("brno", "gate", "track_ended")
     monkeypatch.setattr("store.projector.DELIVERY_SEGMENTS", 2)

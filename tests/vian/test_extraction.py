@@ -94,7 +94,7 @@ def test_a_video_becomes_events_between_start_and_finish(log: Log, clip: Path) -
     (finished,) = said(log, ProcessFinished)
     assert (finished.frames, finished.events, finished.gaps) == (60, done.events, 0)
     sizes = heads(log)
-    kinds = ("track_point", "track_ended", "activity_interval")
+    kinds = ("track_point", "track_ended", "appearance", "activity_interval")
     assert done.events == sum(sizes[f"brno/gate/{kind}"][0] for kind in kinds)
     assert sizes["brno/gate/track_point"][0] > 30
     assert told[-1] == (60, 60)

@@ -5,9 +5,11 @@ from typing import Annotated
 
 import typer
 
-from extractors.motion import MotionConfig
+from extractors.motion import Detector, MotionConfig
+from extractors.motion.onnx import OnnxDetector
 from store import Projector
 from vian import options
+from vian.errors import WrongUsage
 from vian.extraction import Extraction, Job, extract_motion
 from vian.options import has_zone, opened, settings_for, time_of
 from vian.output import Output
@@ -29,6 +31,14 @@ def motion(
             show_default="from the file's metadata, else its modification time",
         ),
     ] = None,
+    detector: Annotated[
+        Path | None,
+        typer.Option("--detector", help="Model file (ONNX) that finds the objects.", show_default="what moves"),
+    ] = None,
+    classes: Annotated[
+        list[int] | None,
+        typer.Option("--class", help="Number of a class of the model to follow; again for more.", show_default="all"),
+    ] = None,
     again: Annotated[int, typer.Option("--again", help="Repeat it as process number N.", min=1)] = 1,
     data_dir: options.DataDir = None,
     dsn: options.Dsn = None,
@@ -38,6 +48,7 @@ def motion(
     """Detect and track what moves in a video: track points, ended tracks, activity intervals."""
     settings = settings_for(data_dir, dsn, station=station)
     output = Output(is_json=as_json)
+    config, model = detection(detector, classes)
     started_at = time_of("--start", start)
     if start is not None and started_at is not None and not has_zone(start):
         output.note(f"--start names no time zone: taken as UTC, {started_at.isoformat()}")
@@ -53,7 +64,8 @@ def motion(
                 source=source,
                 path=video,
                 started_at=started_at,
-                config=MotionConfig(),
+                config=config,
+                detector=model,
                 run=again,
                 database_wait_s=settings.database_wait_s,
                 on_progress=show,
@@ -62,6 +74,22 @@ def motion(
         )
         Projector(log).catch_up()
     report(output, extraction)
+
+
+def detection(path: Path | None, classes: list[int] | None) -> tuple[MotionConfig, Detector | None]:
+    """The configuration and the detector that are asked for.
+
+    Raises:
+        WrongUsage: Classes without a model.
+        DetectorFailed: The model file cannot be opened.
+    """
+    if path is None:
+        if classes:
+            raise WrongUsage("--class needs --detector. Next: name the model file whose classes are meant")
+        return MotionConfig(), None
+    chosen = tuple(sorted(set(classes))) if classes else None
+    model = OnnxDetector(path, chosen)
+    return MotionConfig(detector=model.sha256, classes=chosen), model
 
 
 def report(output: Output, extraction: Extraction) -> None:

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from events import ActivityInterval, TrackEnded, TrackPoint
+from events import ActivityInterval, Appearance, TrackEnded, TrackPoint
 from extractors import scene
 from extractors.errors import DecoderDied
 from extractors.media import Frame, Gap, GapReason
@@ -94,6 +94,9 @@ def test_points_come_in_order_of_time_and_agree_with_their_track_ended(street_ru
         assert own.sum() == end.points
         assert (frame[own][0], frame[own][-1]) == (end.first_frame, end.last_frame)
         xs, ys = street_run.column("x")[own], street_run.column("y")[own]
+        assert end.duration_s == (end.time - end.began_at).total_seconds()
+        means = [np.mean(street_run.column(name)[own]) for name in ("x1", "y1", "x2", "y2")]
+        assert [end.x1_mean, end.y1_mean, end.x2_mean, end.y2_mean] == pytest.approx(means, rel=1e-5)
         assert (xs[0], ys[0], xs[-1], ys[-1]) == (end.x_entry, end.y_entry, end.x_exit, end.y_exit)
         assert end.path_px == pytest.approx(np.hypot(np.diff(xs), np.diff(ys)).sum(), rel=1e-4)
         assert (end.began_at - START).total_seconds() == pytest.approx(end.first_frame / 10)
@@ -137,7 +140,7 @@ def test_batches_are_cut_by_media_time(street_frames: list[Frame]) -> None:
     extractions = run(short(street_frames)).extractions
     assert [e.frames for e in extractions] == [10, 20, 30, 40, 50, 60, 70, 80, 90]
     assert [e.time_us for e in extractions] == [1_000_000 * i - 100_000 for i in range(1, 10)]
-    order = [TrackPoint, TrackEnded, ActivityInterval]
+    order = [TrackPoint, TrackEnded, Appearance, ActivityInterval]
     for extraction in extractions:
         types = [batch.type for batch in extraction.batches]
         assert types == [t for t in order if t in types]

@@ -244,7 +244,7 @@ def test_an_upgrade_counts_row_tables_of_an_older_version_and_sealed_files(log: 
     assert found["schema"][0] == "note"
     assert "a backup of it about 5000 MiB" in found["disk"][1]
     assert checks(run("upgrade", "--dsn", log.dsn, "--json").out)["upgraded"][0] == "ok"
-    assert query(log, "select version from projections where name = 'track_ended'") == [(2,)]
+    assert query(log, "select version from projections where name = 'track_ended'") == [(3,)]
     assert checks(run("upgrade", "--check", "--dsn", log.dsn, "--json").out)["schema"][0] == "ok"
 
 

@@ -36,7 +36,7 @@ def test_people_see_units_limits_and_marks(run: Run) -> None:
     assert "subject: plate" in out
     for words in ("string, personal", "string, json, personal, null", "0 to 1", "left edge of the plate's box, px"):
         assert words in out
-    assert "read as this version too: 1" in run("events", "track_ended").out
+    assert "read as this version too: 1, 2" in run("events", "track_ended").out
 
 
 def test_json_schema_of_one_type_says_what_the_door_asks(run: Run) -> None:
@@ -70,6 +70,8 @@ def test_json_schemas_are_written_to_a_folder_one_file_a_version(run: Run, tmp_p
     old = json.loads((folder / "track_ended.v1.json").read_text())["properties"]
     new = json.loads((folder / "track_ended.v2.json").read_text())["properties"]
     assert set(new) - set(old) == {"displacement_px"}
+    newest = json.loads((folder / "track_ended.v3.json").read_text())["properties"]
+    assert set(newest) - set(new) == {"duration_s", "x1_mean", "y1_mean", "x2_mean", "y2_mean"}
 
 
 @pytest.mark.parametrize(

@@ -46,6 +46,8 @@ def test_a_guessed_start_is_told(log: Log, run: Run, clip: Path) -> None:
         ("text.mp4", [], 1, "text.mp4: not a video that can be opened"),
         ("text.mp4", ["--start", "noon"], 2, "--start must be a time such as"),
         ("text.mp4", ["--again", "0"], 2, "--again"),
+        ("text.mp4", ["--class", "0"], 2, "--class needs --detector. Next: name the model file"),
+        ("text.mp4", ["--detector", "gone.onnx"], 1, "gone.onnx cannot be read: No such file or directory. Next:"),
         ("text.mp4", ["--source", "a b"], 2, "'a b'"),
         ("text.mp4", ["--station", "a/b"], 2, "'a/b'"),
     ],

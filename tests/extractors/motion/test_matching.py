@@ -1,0 +1,77 @@
+import numpy as np
+
+from extractors.motion import MotionConfig
+from extractors.motion.association import Decision
+from extractors.motion.detection import Detections
+from extractors.motion.matching import matched
+
+CONFIG = MotionConfig()
+LEFT, RIGHT = np.array([10.0, 10, 30, 60]), np.array([100.0, 10, 120, 60])
+
+
+def decide(
+    tracks: list[np.ndarray],
+    found: list[np.ndarray],
+    scores: list[float],
+    *,
+    last: list[np.ndarray] | None = None,
+    confirmed: list[bool] | None = None,
+    distances: float = 0.0,
+    away: float = 9.0,
+    unlike: np.ndarray | None = None,
+) -> Decision:
+    shape = (len(tracks), len(found))
+    expected, boxes = np.array(tracks).reshape(-1, 4), np.array(found).reshape(-1, 4)
+    return matched(
+        expected,
+        expected if last is None else np.array(last),
+        np.array([True] * len(tracks) if confirmed is None else confirmed, bool),
+        Detections.clear(boxes, np.array(scores)),
+        np.full(shape, distances),
+        np.full(shape, away),
+        np.full(shape, 0.5) if unlike is None else unlike,
+        CONFIG,
+    )
+
+
+def test_each_track_takes_what_lies_where_it_is_expected() -> None:
+    decision = decide([LEFT, RIGHT], [RIGHT + 2, LEFT + 2], [0.9, 0.9])
+    np.testing.assert_array_equal(decision.measured_xyxy, [LEFT + 2, RIGHT + 2])
+    assert not len(decision.free_xyxy)
+
+
+def test_a_doubtful_detection_goes_on_with_a_track_and_begins_none() -> None:
+    decision = decide([LEFT], [LEFT + 2, RIGHT], [0.3, 0.3])
+    np.testing.assert_array_equal(decision.measured_xyxy, [LEFT + 2])
+    assert not len(decision.free_xyxy)
+    assert np.isnan(decide([LEFT], [LEFT], [0.3], confirmed=[False]).measured_xyxy).all()
+
+
+def test_what_is_sure_and_free_begins_a_track_unless_it_doubles_one() -> None:
+    decision = decide([LEFT], [LEFT, LEFT + 1, RIGHT], [0.95, 0.9, 0.8])
+    np.testing.assert_array_equal(decision.free_xyxy, [RIGHT])
+
+
+def test_a_track_is_found_again_where_it_was_last_seen() -> None:
+    decision = decide([RIGHT], [LEFT + 2], [0.9], last=[LEFT], distances=100)
+    np.testing.assert_array_equal(decision.measured_xyxy, [LEFT + 2])
+
+
+def test_who_looks_alike_is_found_again_within_reach() -> None:
+    alike, unlike = np.array([[0.1]]), np.array([[0.8]])
+    far = {"distances": 100.0}
+    assert not np.isnan(decide([LEFT], [RIGHT], [0.9], away=0.7, unlike=alike, **far).measured_xyxy).any()
+    assert np.isnan(decide([LEFT], [RIGHT], [0.9], away=0.7, unlike=unlike, **far).measured_xyxy).all()
+    assert np.isnan(decide([LEFT], [RIGHT], [0.9], away=1.1, unlike=alike, **far).measured_xyxy).all()
+
+
+def test_looks_decide_between_two_who_meet() -> None:
+    looks = np.array([[0.7, 0.1], [0.1, 0.7]])
+    decision = decide([LEFT, LEFT + 1], [LEFT, LEFT + 1], [0.9, 0.9], unlike=looks)
+    np.testing.assert_array_equal(decision.measured_xyxy, [LEFT + 1, LEFT])
+
+
+def test_nothing_meets_nothing() -> None:
+    assert decide([], [], []).measured_xyxy.shape == (0, 4)
+    assert np.isnan(decide([LEFT], [], []).measured_xyxy).all()
+    np.testing.assert_array_equal(decide([], [LEFT], [0.9]).free_xyxy, [LEFT])
