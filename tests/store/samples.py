@@ -19,6 +19,8 @@ from events import (
     EventBatch,
     EventType,
     GroupSeen,
+    HorizonEstimate,
+    HorizonVote,
     LossRecorded,
     MatchedRange,
     Occupancy,
@@ -267,6 +269,8 @@ ONE_OF_EACH: tuple[EventType, ...] = (
         for each in (
             CameraCalibrated,
             GroupSeen,
+            HorizonEstimate,
+            HorizonVote,
             Occupancy,
             PairDistance,
             SceneChanged,
