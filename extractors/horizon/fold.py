@@ -8,6 +8,7 @@ too wide an interval, a roll that is only the prior's, boxes that are no objects
 
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -52,15 +53,19 @@ class Horizon:
         self._said: Fit | None = None
         self._due_us: int | None = None
         self._last_us = 0
+        self._held: TrackPoints | None = None
         self._is_changed = False
         self.frames = 0
         """frames with points that were taken in"""
 
     def add(self, points: TrackPoints) -> None:
         """Take in points, later than all before."""
+        points = points if self._held is None else self._held.followed_by(points)
         starts = np.flatnonzero(np.diff(points.time_us, prepend=-1))
-        for start, stop in zip(starts, [*starts[1:], len(points)], strict=True):
-            self._step(points[int(start) : int(stop)])
+        for start, stop in pairwise(starts.tolist()):
+            self._step(points[start:stop])
+        # The last frame's points may go on in the next batch.
+        self._held = points[int(starts[-1]) :] if len(starts) else None
 
     def take_in(self, batch: EventBatch) -> None:
         """Heed a batch of events of the source: track points, and that the camera was moved; others say nothing."""
@@ -71,10 +76,11 @@ class Horizon:
 
     def forget(self) -> None:
         """The camera was moved: what was seen before was seen from elsewhere."""
-        self._open, self._closed, self._said = {}, [], None
+        self._open, self._closed, self._said, self._held = {}, [], None, None
 
     def finish(self) -> None:
         """No more points come: all tracks vote, and the last estimate is made."""
+        self.flush()
         for number in list(self._open):
             self._close(number)
         self._estimate()
@@ -86,13 +92,19 @@ class Horizon:
         return batches
 
     def estimate(self) -> Estimate | None:
-        """The horizon by everything that was taken in; None where that does not decide."""
+        """The horizon by all whole frames that were taken in; None where they do not decide."""
         paths = [*self._closed, *self._open.values()][-self._config.tracks_max :]
         votes = sum(vote_of(path.rows(), self._config) is not None for path in paths)
         if self._is_moving or votes < self._config.tracks_min:
             return None
         fit = fitted(places_of(paths, self._config), self._size, self._config, STARTS)
         return Estimate(fit, votes) if self._is_decided(fit) else None
+
+    def flush(self) -> None:
+        """The last frame is whole, too."""
+        if self._held is not None:
+            self._step(self._held)
+            self._held = None
 
     def _step(self, frame: TrackPoints) -> None:
         """Take in the points of one frame."""
@@ -191,6 +203,7 @@ def estimated(points: TrackPoints, size: FrameSize, config: HorizonConfig) -> Es
     """The horizon by these points, in order of time; None where they do not decide."""
     horizon = Horizon(size, config.model_copy(update={"update_s": 1e9}))
     horizon.add(points)
+    horizon.flush()
     return horizon.estimate()
 
 

@@ -42,6 +42,16 @@ class TrackPoints:
             confidence=column("confidence").to_numpy().astype(float),
         )
 
+    def followed_by(self, later: Self) -> Self:
+        """These points and then those."""
+        return type(self)(
+            np.concatenate([self.time_us, later.time_us]),
+            np.concatenate([self.track_id, later.track_id]),
+            np.concatenate([self.frame, later.frame]),
+            np.concatenate([self.boxes_xyxy, later.boxes_xyxy]),
+            np.concatenate([self.confidence, later.confidence]),
+        )
+
     def __len__(self) -> int:
         return len(self.time_us)
 
