@@ -104,7 +104,7 @@ class Job:
     started_at: datetime | None = None
     """wall-clock time of the first frame; from the file's metadata or its modification time by default"""
     config: motion.MotionConfig = field(default_factory=motion.MotionConfig)
-    horizon: HorizonConfig | None = field(default_factory=HorizonConfig)
+    horizon: HorizonConfig | None = field(default_factory=HorizonConfig.of_blobs)
     """how the horizon is found meanwhile; None: it is not. Tracks are the same either way: it names no process"""
     stamp: Stamp = wall_clock
     run: int = 1

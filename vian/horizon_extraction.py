@@ -66,7 +66,7 @@ class HorizonJob:
     log: Log
     station: str
     source: str
-    config: HorizonConfig = field(default_factory=HorizonConfig)
+    config: HorizonConfig = field(default_factory=HorizonConfig.of_blobs)
     stamp: Stamp = wall_clock
     run: int = 1
     """1 for the first time, more for a repetition over the same points as a new process"""

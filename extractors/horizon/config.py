@@ -6,7 +6,7 @@ decide within what exists, and their width goes into the covariance (docs/decisi
 
 import hashlib
 import json
-from typing import Annotated
+from typing import Annotated, Self
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -111,8 +111,8 @@ class HorizonConfig(BaseModel):
     noise_usual: Positive = 0.02
     """typical relative error of a height, to which the one in pixels is added"""
     bias_lines: Positive = 0.008
-    """prior standard deviation of what all boxes are too high or too low by (shadows, eroded feet, closed gaps:
-    the motion extractor closes 0.02), of the frame's height"""
+    """prior standard deviation of what all boxes are too high or too low by, of the frame's height: boxes of
+    detectors and annotators have margins of a few pixels"""
     pace_spread: Positive = 0.3
     """standard deviation of the logarithm of objects' paces about the usual one"""
     pace_median: Positive = 0.26
@@ -127,6 +127,15 @@ class HorizonConfig(BaseModel):
     """how much a step counts: changes of pace last for more than one"""
     model_share: Positive = 0.004
     """standard deviation of what the model leaves out (lens distortion, uneven ground), of the frame's height"""
+
+    @classmethod
+    def of_blobs(cls) -> Self:
+        """The parameters for the boxes of the motion extractor.
+
+        They are outlines of what differs from the background: gaps of 0.02 of the frame's height are closed, a
+        shadow may be left on, and far feet, which are a pixel or two, go unseen.
+        """
+        return cls(bias_lines=0.012)
 
     @property
     def config_hash(self) -> bytes:

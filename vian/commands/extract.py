@@ -60,7 +60,7 @@ def motion(
                 path=video,
                 started_at=started_at,
                 config=MotionConfig(),
-                horizon=None if is_without_horizon else HorizonConfig(),
+                horizon=None if is_without_horizon else HorizonConfig.of_blobs(),
                 run=again,
                 database_wait_s=settings.database_wait_s,
                 on_progress=show,

@@ -11,9 +11,10 @@ import pytest
 
 from events import HorizonEstimate, HorizonVote, SceneChanged, batch_of, events_of
 from extractors.horizon import FrameSize, Horizon, HorizonConfig, Line, TrackPoints, estimated
+from extractors.video import frames
 from tests.extractors.horizon.larger import error_of, scenes, score
 from tests.extractors.horizon.scenes import FPS, Camera, Scene, random_camera, random_walks, scene
-from tests.extractors.motion.runs import START
+from tests.extractors.motion.runs import START, run
 
 SIZE = FrameSize(640, 480)
 CONFIG = HorizonConfig(update_s=20)
@@ -87,7 +88,8 @@ def test_points_in_any_split_say_the_same() -> None:
     random = np.random.default_rng(2)
     cuts = np.sort(random.choice(len(points), 12, replace=False))
     whole, parts = folded([points]), Horizon(SIZE, CONFIG)
-    votes, estimates = [], []
+    votes: list[HorizonVote] = []
+    estimates: list[HorizonEstimate] = []
     for start, stop in zip([0, *cuts], [*cuts, len(points)], strict=True):
         parts.add(points[int(start) : int(stop)])
         some = said(parts)
@@ -207,3 +209,16 @@ def test_the_ten_scenes_of_real_trajectories(vian_data: Path) -> None:
     # Floors somewhat below what is reached (0.015 and 0.91), so that they fail on breakage and not on taste.
     assert np.median(errors) < 0.025
     assert np.mean(1 - np.minimum(errors, 0.25) / 0.25) > 0.85
+
+
+@pytest.mark.slow
+def test_the_pets_clip_from_its_video(vian_data: Path) -> None:
+    made = run(frames(vian_data / "video/pets2009_s2l1_view001/vtest_480x360.avi"))
+    horizon = Horizon(FrameSize(480, 360), HorizonConfig.of_blobs())
+    for batch in made.batches:
+        horizon.take_in(batch)
+    horizon.finish()
+    last = said(horizon)[1][-1]
+    truth = Line(-0.0485671, -30.76865)  # best line of the distorted picture
+    off = [abs(last.slope * x + last.offset_px - truth.y(x)) / 360 for x in (0, 480)]
+    assert max(off) < 0.06
