@@ -57,7 +57,7 @@ class HorizonConfig(BaseModel):
     roll_learnt_min: Share = 0.5
     """share by which the data must narrow what is known of the roll beforehand; where all move up and down
     one line they do not"""
-    noise_max: Positive = 0.2
+    noise_max: Positive = 0.1
     """largest typical error of a box's edge (share of its height): beyond it these are no objects on a plane"""
     moved_deviations: Positive = 0.5
     """an estimate is emitted anew when it has moved by so many of its standard deviations ..."""
