@@ -123,7 +123,7 @@ class HorizonConfig(BaseModel):
     """degrees of freedom of Student's t for changes of pace: people stop"""
     pace_floor: Positive = 0.06
     """smallest typical change of pace that is believed (standard deviation of the logarithm)"""
-    pace_weight: Share = 0.25
+    pace_weight: Annotated[float, Field(gt=0, le=1)] = 0.25
     """how much a step counts: changes of pace last for more than one"""
     model_share: Positive = 0.004
     """standard deviation of what the model leaves out (lens distortion, uneven ground), of the frame's height"""
