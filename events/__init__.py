@@ -4,7 +4,7 @@ Event types, their catalogue, their columns, and the segment that holds a batch 
 package imports none of ViAn's others, knows no database and no network.
 """
 
-from events.camera import CameraCalibrated, SceneChanged, ZoneDefined, ZoneRemoved
+from events.camera import CameraCalibrated, HorizonEstimate, HorizonVote, SceneChanged, ZoneDefined, ZoneRemoved
 from events.catalogue import SHIPPED, Catalogue, load_catalogue
 from events.chains import Base, Chains, Fault, Place, Run, fault_behind
 from events.columns import EventBatch, batch_of, batch_of_type, events_of, schema_of, with_envelope
@@ -95,6 +95,8 @@ __all__ = [
     "Float32",
     "GroupSeen",
     "Header",
+    "HorizonEstimate",
+    "HorizonVote",
     "InvalidEvent",
     "InvalidName",
     "JsonText",

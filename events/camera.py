@@ -5,7 +5,9 @@ Pixels: origin top-left, x right, y down. Ground: metres, east and north (ENU).
 
 from typing import Annotated, Literal
 
-from events.model import AtDoor, EventType, Finite32, JsonText, Share32
+from pydantic import Field
+
+from events.model import AtDoor, EventType, Finite32, Float32, JsonText, Share32
 
 
 class ZoneDefined(EventType, type="zone_defined", version=1, subject="zone"):
@@ -66,3 +68,41 @@ class SceneChanged(EventType, type="scene_changed", version=1):
     """how far the view was shifted to the right, px; null where that is not known"""
     dy: Finite32 | None
     """how far the view was shifted down, px; null where that is not known"""
+
+
+class HorizonVote(EventType, type="horizon_vote", version=1, subject="track_id"):
+    """A track that is over says where its way meets the horizon; its time is that of the last point before it spoke."""
+
+    track_id: Annotated[int, Field(ge=1)]
+    """number of the track, unique within its source"""
+    x: Finite32
+    """where the track's height would be nought, px; often outside the frame"""
+    y: Finite32
+    """where the track's height would be nought, px; often outside the frame"""
+    deviation_px: Annotated[Float32, AtDoor(0)]
+    """standard deviation of that point along the track's way, px"""
+    direction_rad: Finite32
+    """direction of the track's way in the picture, clockwise from the right, rad; its opposite means the same"""
+    places: Annotated[int, AtDoor(1)]
+    """places of the track that the vote rests on"""
+
+
+class HorizonEstimate(EventType, type="horizon_estimate", version=1):
+    """Where this source's horizon is, as far as its tracks show: y = slope x + offset in px of the whole frame."""
+
+    slope: Annotated[float, AtDoor()]
+    """how far the horizon falls for each px to the right, px per px"""
+    offset_px: Annotated[float, AtDoor()]
+    """where the horizon meets the frame's left edge, px; negative above the frame"""
+    slope_variance: Annotated[float, AtDoor(0)]
+    """variance of the slope, (px per px)²"""
+    slope_offset_covariance: Annotated[float, AtDoor()]
+    """covariance of slope and offset, px² per px"""
+    offset_variance: Annotated[float, AtDoor(0)]
+    """variance of the offset, px²"""
+    width: Annotated[int, AtDoor(1)]
+    """width of the frame that the pixels are of, px"""
+    height: Annotated[int, AtDoor(1)]
+    """height of the frame that the pixels are of, px"""
+    votes: Annotated[int, AtDoor(0)]
+    """tracks with a vote among those that it rests on"""

@@ -12,7 +12,7 @@ from typing import Self
 
 import pyarrow as pa
 
-from events.camera import CameraCalibrated, SceneChanged, ZoneDefined, ZoneRemoved
+from events.camera import CameraCalibrated, HorizonEstimate, HorizonVote, SceneChanged, ZoneDefined, ZoneRemoved
 from events.columns import EventBatch, schema_of
 from events.errors import EventError, UnknownType, UpcastFailed
 from events.media import VideoAdded
@@ -69,6 +69,8 @@ SHIPPED: tuple[type[EventType], ...] = (
     SegmentsRepaired,
     StationEnrolled,
     StationRevoked,
+    HorizonVote,
+    HorizonEstimate,
 )
 ENTRY_POINT_GROUP = "vian.events"
 

@@ -20,6 +20,8 @@ from events import (
     Appearance,
     EventBatch,
     EventType,
+    HorizonEstimate,
+    HorizonVote,
     ProcessFailed,
     ProcessFinished,
     ProcessProgressed,
@@ -38,7 +40,8 @@ from events import (
 )
 from extractors import motion, video
 from extractors.errors import ExtractorError
-from extractors.media import VideoInfo
+from extractors.horizon import FrameSize, Horizon, HorizonConfig
+from extractors.media import GapReason, VideoInfo
 from store import Appender, Log, SequenceConflict
 from vian.errors import WorldFailed, WrongUsage
 from vian.exclusive import exclusively
@@ -50,6 +53,8 @@ _SAID_BY_A_PROCESS = (
     TrackEnded,
     Appearance,
     ActivityInterval,
+    HorizonVote,
+    HorizonEstimate,
     ProcessProgressed,
     ProcessFinished,
     ProcessFailed,
@@ -103,6 +108,8 @@ class Job:
     config: motion.MotionConfig = field(default_factory=motion.MotionConfig)
     detector: motion.Detector | None = None
     """finds the objects, where `config.detector` is a model's hash"""
+    horizon: HorizonConfig | None = field(default_factory=HorizonConfig.of_blobs)
+    """how the horizon is found meanwhile; None: it is not. Tracks are the same either way: it names no process"""
     stamp: Stamp = wall_clock
     run: int = 1
     """1 for the first time, more for a repetition of the same extraction as a new process"""
@@ -180,6 +187,7 @@ class _Run:
         self._events = 0
         self._gaps = 0
         self._progress_due_s = PROGRESS_EVERY_S
+        self._horizon = Horizon(FrameSize(info.width, info.height), job.horizon) if job.horizon else None
 
     def whole(self) -> Extraction:
         """Extract to the end of the video."""
@@ -202,6 +210,7 @@ class _Run:
                 f"somebody else appends to source {self._job.source}: {error}. What this process stored stays. "
                 "Next: give each extraction a source of its own, then run this again"
             ) from error
+        self._end_horizon()
         self._say(ProcessFinished(**self._state(), gaps=self._gaps))
         return Extraction(
             self._process, self._job.source, self._added, self._frames, self._events, self._gaps, was_done=False
@@ -210,12 +219,32 @@ class _Run:
     def _store(self, step: motion.Extraction) -> None:
         """Append what one interval of the media brought, in one transaction."""
         self._frames, self._time_us = step.frames, step.time_us
-        self._events += sum(len(batch) for batch in step.batches)
+        found = [*step.batches, *self._of_horizon(step)]
+        self._events += sum(len(batch) for batch in found)
         self._gaps += len(step.gaps)
-        batches = [*step.batches, *self._remarks(step)]
+        batches = [*found, *self._remarks(step)]
         self._append(batches)
         if self._job.on_progress is not None:
             self._job.on_progress(self._frames, self._info.frames_expected)
+
+    def _of_horizon(self, step: motion.Extraction) -> tuple[EventBatch, ...]:
+        """What the tracks say of the horizon; from a change of the frame's size on, nothing."""
+        if any(gap.reason is GapReason.SIZE_CHANGED for gap in step.gaps):
+            self._horizon = None
+        if self._horizon is None:
+            return ()
+        for batch in step.batches:
+            self._horizon.take_in(batch)
+        return self._horizon.take()
+
+    def _end_horizon(self) -> None:
+        """Let the tracks that are left say where the horizon is."""
+        if self._horizon is None:
+            return
+        self._horizon.finish()
+        batches = list(self._horizon.take())
+        self._events += sum(len(batch) for batch in batches)
+        self._append(batches)
 
     def _remarks(self, step: motion.Extraction) -> list[EventBatch]:
         """What is to be said of the work itself: gaps, and progress now and then."""

@@ -20,6 +20,8 @@ from events import (
     EventBatch,
     EventType,
     GroupSeen,
+    HorizonEstimate,
+    HorizonVote,
     LossRecorded,
     MatchedRange,
     Occupancy,
@@ -274,6 +276,8 @@ ONE_OF_EACH: tuple[EventType, ...] = (
         for each in (
             CameraCalibrated,
             GroupSeen,
+            HorizonEstimate,
+            HorizonVote,
             Occupancy,
             PairDistance,
             SceneChanged,

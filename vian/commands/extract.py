@@ -5,17 +5,20 @@ from typing import Annotated
 
 import typer
 
+from extractors.horizon import HorizonConfig
 from extractors.motion import Detector, MotionConfig
 from extractors.motion.onnx import OnnxDetector
 from store import Projector
 from vian import options
 from vian.errors import WrongUsage
 from vian.extraction import Extraction, Job, extract_motion
+from vian.horizon_extraction import HorizonExtraction, HorizonJob, extract_horizon
 from vian.options import has_zone, opened, settings_for, time_of
 from vian.output import Output
 
 app = typer.Typer(help="Run an extractor on a video; its events go into the log.", no_args_is_help=True)
 
+Again = Annotated[int, typer.Option("--again", help="Repeat it as process number N.", min=1)]
 _EXAMPLE = "Example: vian extract motion gate.mp4 --source gate --start 2026-01-31T12:00:00Z"
 
 
@@ -39,13 +42,16 @@ def motion(
         list[int] | None,
         typer.Option("--class", help="Number of a class of the model to follow; again for more.", show_default="all"),
     ] = None,
-    again: Annotated[int, typer.Option("--again", help="Repeat it as process number N.", min=1)] = 1,
+    is_without_horizon: Annotated[
+        bool, typer.Option("--no-horizon", help="Do not look for the horizon meanwhile.")
+    ] = False,
+    again: Again = 1,
     data_dir: options.DataDir = None,
     dsn: options.Dsn = None,
     station: options.Station = None,
     as_json: options.Json = False,
 ) -> None:
-    """Detect and track what moves in a video: track points, ended tracks, activity intervals."""
+    """Detect and track what moves in a video: track points, ended tracks, activity intervals, the horizon."""
     settings = settings_for(data_dir, dsn, station=station)
     output = Output(is_json=as_json)
     config, model = detection(detector, classes)
@@ -66,6 +72,7 @@ def motion(
                 started_at=started_at,
                 config=config,
                 detector=model,
+                horizon=None if is_without_horizon else HorizonConfig.of_blobs(),
                 run=again,
                 database_wait_s=settings.database_wait_s,
                 on_progress=show,
@@ -90,6 +97,53 @@ def detection(path: Path | None, classes: list[int] | None) -> tuple[MotionConfi
     chosen = tuple(sorted(set(classes))) if classes else None
     model = OnnxDetector(path, chosen)
     return MotionConfig(detector=model.sha256, classes=chosen), model
+
+
+@app.command(epilog="Example: vian extract horizon --source gate")
+def horizon(
+    source: Annotated[str, typer.Option("--source", help="Name of the camera whose track points are in the log.")],
+    again: Again = 1,
+    data_dir: options.DataDir = None,
+    dsn: options.Dsn = None,
+    station: options.Station = None,
+    as_json: options.Json = False,
+) -> None:
+    """Find the horizon from the track points that a log holds of a source: votes and estimates."""
+    settings = settings_for(data_dir, dsn, station=station)
+    output = Output(is_json=as_json)
+    with opened(settings, data_dir=data_dir) as log:
+        job = HorizonJob(
+            log=log,
+            station=settings.station,
+            source=source,
+            run=again,
+            database_wait_s=settings.database_wait_s,
+            on_note=output.note,
+        )
+        extraction = extract_horizon(job)
+        Projector(log).catch_up()
+    report_horizon(output, extraction)
+
+
+def report_horizon(output: Output, extraction: HorizonExtraction) -> None:
+    """Print where the horizon is."""
+    found = extraction.estimate
+    values = {
+        "process": extraction.process,
+        "source": extraction.source,
+        "events": extraction.events,
+        "slope": found.slope if found else None,
+        "offset_px": found.offset_px if found else None,
+        "was_done": extraction.was_done,
+    }
+    text = f"process {extraction.process}: {extraction.events} votes and estimates; "
+    if found is None:
+        text += "the tracks do not decide where the horizon is"
+    else:
+        text += f"horizon y = {found.slope:.4f} x {found.offset_px:+.1f} px of {found.width}x{found.height}"
+    if extraction.was_done:
+        text += " (done in an earlier run; --again 2 repeats it as a new process)"
+    output.result(values, text)
 
 
 def report(output: Output, extraction: Extraction) -> None:

@@ -1,4 +1,4 @@
-"""`vian extract motion` at the command line; what it does is tried in `test_extraction`."""
+"""`vian extract` at the command line; what it does is tried in `test_extraction` and `test_horizon_extraction`."""
 
 import json
 from pathlib import Path
@@ -76,3 +76,20 @@ def test_a_start_without_a_zone_is_utc_and_that_is_told(
     assert ran.code == 0
     assert ("--start names no time zone: taken as UTC, 2026-01-01T10:00:00+00:00" in ran.words) == noted
     assert min(segment.header.time_min for segment in log.read_all(types=["track_point"])).hour == START.hour
+
+
+def test_the_horizon_is_looked_for_in_a_log_that_is_there(log: Log, run: Run, clip: Path) -> None:
+    options = ("--dsn", log.dsn, "--station", "brno", "--source", "gate")
+    assert run("extract", "motion", clip, *options, "--no-horizon").code == 0
+    ran = run("extract", "horizon", *options)
+    assert ran.code == 0
+    assert "the tracks do not decide where the horizon is" in ran.out
+    values = json.loads(run("extract", "horizon", *options, "--json").out)
+    assert (values["source"], values["slope"], values["was_done"]) == ("gate", None, True)
+
+
+def test_a_source_without_tracks_has_no_horizon(log: Log, run: Run) -> None:
+    ran = run("extract", "horizon", "--dsn", log.dsn, "--source", "gate")
+    assert (ran.code, ran.out) == (2, "")
+    assert "the log holds no track points of source gate" in ran.words
+    assert "Next: vian extract motion VIDEO --source gate" in ran.words

@@ -1,0 +1,8 @@
+"""Horizon: the vanishing line of the ground, from the tracks of whatever moves on it."""
+
+from extractors.horizon.camera import FrameSize, Line
+from extractors.horizon.config import NAME, VERSION, HorizonConfig
+from extractors.horizon.fold import Estimate, Horizon, estimated
+from extractors.horizon.points import TrackPoints
+
+__all__ = ["NAME", "VERSION", "Estimate", "FrameSize", "Horizon", "HorizonConfig", "Line", "TrackPoints", "estimated"]

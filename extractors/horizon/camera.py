@@ -1,0 +1,97 @@
+"""How high an upright object's box is in the picture of a tilted pinhole camera over a plane.
+
+Frames: camera axes x right, y down, z forward; lengths in camera heights; square pixels, principal point in
+the frame's middle. Exact for any tilt and roll, and in its limit of small tilt the proportion of box height
+to the distance below the horizon (Hoiem, Efros and Hebert 2008, equation 7).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+Floats = npt.NDArray[np.float64]
+
+DEPTH_MIN = 0.001
+"""Smallest sine below the horizon at which a foot point is taken to stand; points above it go here smoothly."""
+
+SHARE_MAX = 0.95
+"""Largest share of the way to the camera's plane at which a head is taken to be."""
+
+
+@dataclass(frozen=True, slots=True)
+class FrameSize:
+    """Width and height of the video's frames, px."""
+
+    width: int
+    height: int
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """The horizon `y = slope * x + offset`, px of the frame, y down."""
+
+    slope: float
+    offset: float
+
+    def y(self, x: float) -> float:
+        """Its height in the picture at `x`, px."""
+        return self.slope * x + self.offset
+
+
+def up(tilt: float, roll: float) -> Floats:
+    """The direction away from the ground, unit vector in camera axes; angles rad.
+
+    Args:
+        tilt: Of the view below the horizontal.
+        roll: Of the horizon, clockwise in the picture.
+    """
+    return np.array([np.sin(roll) * np.cos(tilt), -np.cos(roll) * np.cos(tilt), -np.sin(tilt)])
+
+
+def horizon_of(tilt: float, roll: float, focal: float, size: FrameSize) -> Line:
+    """The line of the plane's points at infinity; focal length px."""
+    slope = np.tan(roll)
+    middle = size.height / 2 - focal * np.tan(tilt) / np.cos(roll)
+    return Line(float(slope), float(middle - slope * size.width / 2))
+
+
+def log_heights(camera: Floats, log_size: Floats, foot_xy: Floats, size: FrameSize) -> Floats:
+    """Logarithm of the box heights (px) of upright objects that stand at these points of the picture, `(n,)`.
+
+    Args:
+        camera: `tilt (rad), roll (rad), log of the focal length (px)`.
+        log_size: Logarithm of each object's height over the camera's, `(n,)`.
+        foot_xy: Where they stand, px, `(n, 2)`.
+        size: Of the frame.
+    """
+    tilt, roll, log_focal = camera
+    focal, n = np.exp(log_focal), up(tilt, roll)
+    x, y = (foot_xy[:, 0] - size.width / 2) / focal, (foot_xy[:, 1] - size.height / 2) / focal
+    below = _softly_positive(-(n[0] * x + n[1] * y + n[2]))
+    share = np.exp(log_size) * below  # the head is this part of n nearer: Q ~ r + share * n
+    depth = np.maximum(1 + share * n[2], 1 - SHARE_MAX)
+    head_y = (y + share * n[1]) / depth
+    return np.asarray(np.log(np.maximum(focal * (y - head_y), 1e-3)))
+
+
+def ground_points(camera: Floats, foot_xy: Floats, size: FrameSize) -> Floats:
+    """Where on the ground these points of the picture lie: right and ahead of the camera, camera heights, `(n, 2)`.
+
+    Args:
+        camera: `tilt (rad), roll (rad), log of the focal length (px)`.
+        foot_xy: Points of the picture, px, `(n, 2)`.
+        size: Of the frame.
+    """
+    tilt, roll, log_focal = camera
+    focal, n = np.exp(log_focal), up(tilt, roll)
+    x, y = (foot_xy[:, 0] - size.width / 2) / focal, (foot_xy[:, 1] - size.height / 2) / focal
+    depth = _softly_positive(-(n[0] * x + n[1] * y + n[2]))
+    right = np.array([np.cos(roll), np.sin(roll), 0.0])
+    ahead = np.cross(n, right)
+    rays = np.stack([x, y, np.ones(len(x))], axis=1)
+    return np.asarray(rays @ np.stack([right, ahead], axis=1) / depth[:, None])
+
+
+def _softly_positive(below: Floats) -> Floats:
+    return np.asarray((below + np.sqrt(below**2 + DEPTH_MIN**2)) / 2)

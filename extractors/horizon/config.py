@@ -1,0 +1,144 @@
+"""Every parameter of the horizon extractor, with its unit and its reason.
+
+Priors describe surveillance cameras and people in general, and are wide: they keep what the data do not
+decide within what exists, and their width goes into the covariance (docs/decisions/0037-horizon.md).
+"""
+
+import hashlib
+import json
+from typing import Annotated, Self
+
+from pydantic import BaseModel, ConfigDict, Field
+
+NAME = "horizon"
+"""name of this extractor in the log"""
+VERSION = "1"
+"""version of its method; a change that says other things for the same points raises it"""
+
+Share = Annotated[float, Field(ge=0, le=1)]
+Positive = Annotated[float, Field(gt=0)]
+Count = Annotated[int, Field(ge=1)]
+
+
+class HorizonConfig(BaseModel):
+    """How the horizon is found from tracks."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
+
+    confidence_min: Share = 0.5
+    """boxes with less are predicted rather than seen, and say nothing of an object's size"""
+    border_share: Share = 0.008
+    """a box whose edge lies this near to the frame's is cut by it and left out, of the frame's height"""
+    height_share_min: Share = 0.02
+    """boxes lower than this are left out: a pixel more or less is then a tenth, of the frame's height"""
+    stride: Positive = 0.5
+    """points of a track within this distance of each other are one place, box heights: about a step, so
+    that the swing of legs is averaged out and people who stand weigh no more than others"""
+    place_points_max: Count = 64
+    """points of which one place's median is taken; later ones at the same place are left out"""
+    track_places_max: Count = 48
+    """places kept of one track; of a longer one every second is dropped again and again"""
+    vote_places_min: Annotated[int, Field(ge=3)] = 4
+    """places from which a track votes"""
+    vote_significance: Positive = 2.0
+    """standard deviations by which its height must change along its way, to vote"""
+    tracks_max: Count = 256
+    """tracks that an estimate rests on, the newest; bounds time and memory"""
+    gone_s: Positive = 3.0
+    """a track not seen for longer gets its vote, s"""
+
+    update_s: Positive = 5.0
+    """media time between two estimates, s"""
+    tracks_min: Count = 4
+    """votes from which the horizon is estimated; fewer cannot contradict a false one"""
+    deviation_share_max: Positive = 0.2
+    """an estimate less certain than this anywhere in the frame is not emitted (standard deviation, of the
+    frame's height)"""
+    roll_learnt_min: Share = 0.5
+    """share by which the data must narrow what is known of the roll beforehand; where all move up and down
+    one line they do not"""
+    noise_max: Positive = 0.1
+    """largest typical error of a box's edge (share of its height): beyond it these are no objects on a plane"""
+    moved_deviations: Positive = 0.5
+    """an estimate is emitted anew when it has moved by so many of its standard deviations ..."""
+    firmed_share: Share = 0.8
+    """... or when its standard deviation has shrunk to this share"""
+
+    moving_tracks_min: Annotated[int, Field(ge=3)] = 4
+    """tracks in one frame from which it can be told that the camera moves ..."""
+    moving_spread_max: Positive = 0.25
+    """... by velocities that differ from their mean by less than this share of it; objects at different
+    distances and with different aims differ by more ..."""
+    moving_speed_min: Positive = 0.02
+    """... and are faster than this, frame heights per s"""
+    moving_window_s: Positive = 3.0
+    """time over which frames are counted, s; as long is waited after the last such frame"""
+    moving_share_min: Share = 0.5
+    """share of these frames that must say so"""
+
+    focal_widths: Positive = 1.05
+    """prior median of the focal length, frame widths: fields of view from 30° to 90° are usual"""
+    focal_spread: Positive = 0.35
+    """prior standard deviation of its logarithm"""
+    tilt_deg: float = 20.0
+    """prior mean of the tilt below the horizontal, degrees ..."""
+    tilt_spread_deg: Positive = 20.0
+    """... and its standard deviation, degrees"""
+    roll_spread_deg: Positive = 8.0
+    """prior standard deviation of the roll, degrees"""
+    size_median: Positive = 0.33
+    """prior median of an object's height, camera heights: people under a camera at 5 m"""
+    size_spread: Positive = 0.8
+    """prior standard deviation of its logarithm"""
+    object_spread: Positive = 0.08
+    """standard deviation of the logarithm of objects' heights: people differ by 4 to 8 %, boxes by the rest"""
+    noise_floor: Positive = 0.001
+    """smallest typical error of a box's height that is believed, of the height"""
+    noise_lines: Positive = 0.0015
+    """error of a box's height whatever its size, of the frame's height"""
+    shared_share: Share = 0.3
+    """share of a height's error variance that all points of a place have in common"""
+    tail: Positive = 4.0
+    """degrees of freedom of Student's t for errors of boxes: merged and cut blobs are many"""
+    track_misfit: Positive = 3.0
+    """mean cost of a track's places (about 2 where they fit) at which the track counts e times less: what
+    does not change with the distance at all is no object on the plane"""
+    shape_spread: Positive = 0.3
+    """standard deviation of the logarithm of width over height about its median: merged and cut boxes, cars
+    among people, differ by more and count less"""
+    object_tail: Positive = 3.0
+    """degrees of freedom of Student's t for objects' heights: children, cycles, cars, false tracks"""
+    noise_usual: Positive = 0.02
+    """typical relative error of a height, to which the one in pixels is added"""
+    bias_lines: Positive = 0.008
+    """prior standard deviation of what all boxes are too high or too low by, of the frame's height: boxes of
+    detectors and annotators have margins of a few pixels"""
+    pace_spread: Positive = 0.3
+    """standard deviation of the logarithm of objects' paces about the usual one"""
+    pace_median: Positive = 0.26
+    """prior median of the usual pace, camera heights per s: 1.3 m/s under a camera at 5 m ..."""
+    pace_usual_spread: Positive = 1.0
+    """... and the standard deviation of its logarithm"""
+    pace_tail: Positive = 3.0
+    """degrees of freedom of Student's t for changes of pace: people stop"""
+    pace_floor: Positive = 0.06
+    """smallest typical change of pace that is believed (standard deviation of the logarithm)"""
+    pace_weight: Annotated[float, Field(gt=0, le=1)] = 0.25
+    """how much a step counts: changes of pace last for more than one"""
+    model_share: Positive = 0.004
+    """standard deviation of what the model leaves out (lens distortion, uneven ground), of the frame's height"""
+
+    @classmethod
+    def of_blobs(cls) -> Self:
+        """The parameters for the boxes of the motion extractor.
+
+        They are outlines of what differs from the background: gaps of 0.02 of the frame's height are closed, a
+        shadow may be left on, and far feet, which are a pixel or two, go unseen.
+        """
+        return cls(bias_lines=0.012)
+
+    @property
+    def config_hash(self) -> bytes:
+        """SHA-256 of the configuration's canonical form, 32 bytes."""
+        canonical = json.dumps(self.model_dump(mode="json"), sort_keys=True, separators=(",", ":"))
+        return hashlib.sha256(canonical.encode()).digest()

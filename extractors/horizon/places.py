@@ -1,0 +1,102 @@
+"""Where along its way a track had what height: the median box of each place, folded from track points.
+
+Contract: points come in order of time; the fold depends on their order and not on how it is cut into
+batches. Memory is bounded by configuration. Boxes that are cut by the frame's edge, predicted, or too low
+are left out.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from extractors.horizon.camera import Floats, FrameSize
+from extractors.horizon.config import HorizonConfig
+
+Row = tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Places:
+    """Median boxes of the places of several tracks."""
+
+    track: npt.NDArray[np.int64]
+    """index of the track, from 0, `(n,)`"""
+    time_s: Floats
+    """when the track was there, s, `(n,)`"""
+    foot_xy: Floats
+    """middle of the box's lower edge, px, `(n, 2)`"""
+    log_height: Floats
+    """logarithm of the box's height in px, `(n,)`"""
+    likeness: Floats
+    """how much the box has the shape that most have, 0 to 1, `(n,)`"""
+    points: Floats
+    """track points that the place is made of, `(n,)`"""
+
+
+@dataclass(slots=True)
+class Path:
+    """The places of one track."""
+
+    last_us: int
+    places: list[Row] = field(default_factory=list)
+    """`time (s), x, y, width, height (px), points` of each closed place"""
+    here: list[Row] = field(default_factory=list)
+    """`time (s), x, y, width, height (px)` of the points of the place that is open"""
+    stride: float = 1.0
+    """length of a place, in units of the configured one"""
+
+    def add(self, time_s: float, x: float, y: float, width: float, height: float, config: HorizonConfig) -> None:
+        """Take in one box."""
+        if self.here:
+            _, x0, y0, _, height0 = self.here[0]
+            if (x - x0) ** 2 + (y - y0) ** 2 > (config.stride * self.stride * height0) ** 2:
+                self.places.append(_median(self.here))
+                self.here = []
+                self._thin(config)
+        if len(self.here) < config.place_points_max:
+            self.here.append((time_s, x, y, width, height))
+
+    def rows(self) -> Floats:
+        """All places, the open one included: `time (s), x, y, width, height (px), points`, `(n, 6)`."""
+        return np.array([*self.places, _median(self.here)] if self.here else self.places).reshape(-1, 6)
+
+    def _thin(self, config: HorizonConfig) -> None:
+        if len(self.places) > config.track_places_max:
+            self.places = self.places[::2]
+            self.stride *= 2
+
+
+def _median(points: list[Row]) -> Row:
+    return (*map(float, np.median(np.array(points), axis=0)), float(len(points)))
+
+
+def is_whole(boxes_xyxy: Floats, confidence: Floats, size: FrameSize, config: HorizonConfig) -> npt.NDArray[np.bool_]:
+    """Which boxes show an object whole, `(n,)`: seen, high enough, and not cut by the frame.
+
+    A box that reaches beyond the frame is whole: who gave it knew more than the picture shows.
+    """
+    border = config.border_share * size.height
+    edges = np.array([0, 0, size.width, size.height])
+    is_cut = (np.abs(boxes_xyxy - edges) < border).any(axis=1)
+    heights = boxes_xyxy[:, 3] - boxes_xyxy[:, 1]
+    return np.asarray(
+        ~is_cut & (heights >= config.height_share_min * size.height) & (confidence >= config.confidence_min)
+    )
+
+
+def places_of(paths: Iterable[Path], config: HorizonConfig) -> Places:
+    """The places of these tracks as columns, in order."""
+    rows = [np.insert(path.rows(), 0, index, axis=1) for index, path in enumerate(paths)]
+    table = np.concatenate(rows) if rows else np.zeros((0, 7))
+    shapes = np.log(table[:, 4] / table[:, 5])
+    unlike = (shapes - np.median(shapes)) / config.shape_spread if len(shapes) else shapes
+    return Places(
+        track=table[:, 0].astype(np.int64),
+        time_s=table[:, 1],
+        foot_xy=table[:, 2:4],
+        log_height=np.log(table[:, 5]),
+        likeness=1 / (1 + unlike**2) ** 2,
+        points=table[:, 6],
+    )
