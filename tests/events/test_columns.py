@@ -253,6 +253,8 @@ def test_an_optional_field_of_a_shipped_type_is_a_column_that_may_be_null() -> N
         "pair_distance.alignment",
         *(f"{name}.{why}" for name in ("zone_defined", "zone_removed") for why in ("author", "reason")),
         "camera_calibrated.rms_m",
+        *(f"camera_calibrated.{name}" for name in ("focal_px", "pitch_rad", "roll_rad", "height_m")),
+        *(f"camera_calibrated.{name}" for name in ("covariance", "scale")),
         *(f"scene_changed.{name}" for name in ("dx", "dy")),
         "rule_deployed.after_position",
         "station_enrolled.address",

@@ -8,6 +8,8 @@ import zstandard
 
 from events import (
     SHIPPED,
+    CameraCalibrated,
+    CameraCalibratedV1,
     Catalogue,
     EventBatch,
     EventType,
@@ -91,4 +93,14 @@ def test_frozen_tracks_of_version_1_are_read_as_version_2() -> None:
     assert [_plain(row) for row in new.data.to_pylist()] == [
         json.dumps(row | {"displacement_px": distance})
         for row, distance in zip(_rows("track_ended.v1"), (767.058837890625, "NaN", _ROOT, _ROOT), strict=True)
+    ]
+
+
+def test_frozen_calibrations_of_version_1_say_nothing_of_the_camera_in_version_2() -> None:
+    frozen = decode_payload((GOLDEN / "camera_calibrated.v1.bin").read_bytes(), schema_of(CameraCalibratedV1))
+    new = Catalogue.shipped().upcast(EventBatch(CameraCalibratedV1, frozen))
+    assert new.type is CameraCalibrated
+    unsaid = dict.fromkeys(("focal_px", "pitch_rad", "roll_rad", "height_m", "covariance", "scale"))
+    assert [_plain(row) for row in new.data.to_pylist()] == [
+        json.dumps(row | unsaid) for row in _rows("camera_calibrated.v1")
     ]

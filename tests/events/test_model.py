@@ -149,6 +149,7 @@ UNITS = {
     **dict.fromkeys(["vx", "vy"], "px/s"),
     **dict.fromkeys(["confidence", "_share", "_share_max"], "0 "),
     "_m": ", m;",
+    "_rad": ", rad;",
     "_hash": "SHA-256",
     "_px_s": "px/s",
     "_s": "s",
