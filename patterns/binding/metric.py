@@ -32,7 +32,7 @@ def distance_m(one: exp.Expr, other: exp.Expr) -> exp.Expr:
 
 
 def _ground(name: str, variable: exp.Expr) -> exp.Expr:
-    points = []
+    points: list[exp.Expr] = []
     for axis in ("x", "y"):
         point = exp.Column(this=_identifier(axis, variable), table=variable.this.copy())
         points.append(point)
