@@ -117,7 +117,7 @@ class CalibrationFold:
         self._time_us = int(time_us[-1])
 
     def add_horizon(self, horizon: Horizon) -> None:
-        """Take a horizon that is known otherwise; it stands in for those before it."""
+        """Take a horizon that is known otherwise, not from these very tracks; it stands in for those before it."""
         self._horizon = horizon
 
     def restart(self) -> None:

@@ -66,41 +66,51 @@ def ground_of(
         covariance: Of these four, `(4, 4)`; None likewise: then no deviation is known.
         frame_size: Width and height, px.
     """
-    values = _mapped(homography, x, y, vx, vy)
+    east, north, east_rate, north_rate = _mapped(homography, x, y, vx, vy)
+    speed = np.hypot(east_rate, north_rate)
     if camera is None or covariance is None:
         unknown = np.full_like(x, np.nan)
-        return Ground(*values, unknown, unknown, unknown)
+        return Ground(east, north, speed, unknown, unknown, unknown)
     foot, velocity = FOOT_SHARE * box_height, VELOCITY_SHARE * box_height
-    variances = [np.zeros_like(x) for _ in values]
+    by_noise = []
     for at, noise in enumerate((foot, foot, velocity, velocity)):
-        moved = [np.where(at == other, noise, 0.0) for other in range(4)]
-        columns = zip((x, y, vx, vy), moved, strict=True)
-        ahead = _mapped(homography, *(column + by / 2 for column, by in columns))
-        columns = zip((x, y, vx, vy), moved, strict=True)
-        behind = _mapped(homography, *(column - by / 2 for column, by in columns))
-        variances = [total + (a - b) ** 2 for total, a, b in zip(variances, ahead, behind, strict=True)]
-    jacobian = _by_camera(camera, frame_size, lambda matrix: _mapped(matrix, x, y, vx, vy))
-    carried = np.einsum("pvn,pq,qvn->vn", jacobian, covariance, jacobian)
-    deviations = [np.sqrt(own + common) for own, common in zip(variances, carried, strict=True)]
-    return Ground(*values, *deviations)
+        ahead, behind = (
+            [column + sign * noise / 2 if at == other else column for other, column in enumerate((x, y, vx, vy))]
+            for sign in (1, -1)
+        )
+        by_noise.append(np.array(_mapped(homography, *ahead)) - np.array(_mapped(homography, *behind)))
+    by_camera = _by_camera(camera, frame_size, lambda matrix: _mapped(matrix, x, y, vx, vy))
+    carried = np.einsum("pvn,pq,qwn->vwn", by_camera, covariance, by_camera)
+    total = carried + np.einsum("pvn,pwn->vwn", by_noise, by_noise)
+    return Ground(
+        east, north, speed, np.sqrt(total[0, 0]), np.sqrt(total[1, 1]), _of_length(total[2:, 2:], east_rate, north_rate)
+    )
 
 
-def _mapped(homography: Floats, x: Floats, y: Floats, vx: Floats, vy: Floats) -> tuple[Floats, Floats, Floats]:
-    """East, north and speed; NaN above the horizon."""
+def _of_length(covariance: Floats, east: Floats, north: Floats) -> Floats:
+    """Standard deviation of the vectors' lengths; where there is no direction, that of one component."""
+    length = np.hypot(east, north)
+    along = np.where(length > 0, [east, north], 1.0) / np.where(length > 0, length, np.sqrt(2))
+    crossed = np.where(length > 0, 1.0, 0.0)
+    own = along[0] ** 2 * covariance[0, 0] + along[1] ** 2 * covariance[1, 1]
+    return np.asarray(np.sqrt(own + 2 * crossed * along[0] * along[1] * covariance[0, 1]))
+
+
+def _mapped(homography: Floats, x: Floats, y: Floats, vx: Floats, vy: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+    """East and north, and the velocity in both directions; NaN above the horizon."""
     east, north, depth = (row[0] * x + row[1] * y + row[2] for row in homography)
     depth = np.where(depth > 0, depth, np.nan)
     east_rate, north_rate, depth_rate = (row[0] * vx + row[1] * vy for row in homography)
     east, north = east / depth, north / depth
-    speed = np.hypot(east_rate - east * depth_rate, north_rate - north * depth_rate) / depth
-    return east, north, speed
+    return east, north, (east_rate - east * depth_rate) / depth, (north_rate - north * depth_rate) / depth
 
 
 def _by_camera(
     camera: tuple[float, float, float, float],
     frame_size: tuple[int, int],
-    mapped: Callable[[Floats], tuple[Floats, Floats, Floats]],
+    mapped: Callable[[Floats], tuple[Floats, Floats, Floats, Floats]],
 ) -> Floats:
-    """Derivatives of the three values by the four numbers of the camera, `(4, 3, n)`."""
+    """Derivatives of the four values by the four numbers of the camera, `(4, 4, n)`."""
     steps = (_STEP * camera[0], _STEP, _STEP, _STEP * camera[3])
     rows = []
     for at, step in enumerate(steps):

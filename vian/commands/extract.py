@@ -1,4 +1,4 @@
-"""`vian extract`: run an extractor on a video."""
+"""`vian extract`: run an extractor on a video, or on what the log holds."""
 
 from pathlib import Path
 from typing import Annotated
@@ -8,11 +8,12 @@ import typer
 from extractors.motion import MotionConfig
 from store import Projector
 from vian import options
+from vian.commands import extract_calibration
 from vian.extraction import Extraction, Job, extract_motion
 from vian.options import has_zone, opened, settings_for, time_of
 from vian.output import Output
 
-app = typer.Typer(help="Run an extractor on a video; its events go into the log.", no_args_is_help=True)
+app = typer.Typer(help="Run an extractor on a video or on tracks; its events go into the log.", no_args_is_help=True)
 
 _EXAMPLE = "Example: vian extract motion gate.mp4 --source gate --start 2026-01-31T12:00:00Z"
 
@@ -62,6 +63,9 @@ def motion(
         )
         Projector(log).catch_up()
     report(output, extraction)
+
+
+app.command(epilog=extract_calibration.EXAMPLE)(extract_calibration.calibration)
 
 
 def report(output: Output, extraction: Extraction) -> None:

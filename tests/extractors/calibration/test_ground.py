@@ -37,6 +37,13 @@ def test_deviations_are_those_of_cameras_and_feet_drawn_at_random() -> None:
     assert ground.north_deviation[0] == pytest.approx(north, rel=0.06)
 
 
+def test_what_stands_still_has_a_speed_that_may_be_wrong() -> None:
+    still = np.zeros(3)
+    ground = ground_of(X, Y, still, still, BOX, CAMERA.homography, NUMBERS, COVARIANCE, (1280, 720))
+    assert (ground.speed[:2] == 0).all()
+    assert (ground.speed_deviation[:2] > 0).all()
+
+
 def test_without_a_covariance_no_deviation_is_known() -> None:
     ground = ground_of(X, Y, VX, VY, BOX, CAMERA.homography, None, None, (1280, 720))
     assert np.isfinite(ground.east[:2]).all()
