@@ -4,7 +4,15 @@ Event types, their catalogue, their columns, and the segment that holds a batch 
 package imports none of ViAn's others, knows no database and no network.
 """
 
-from events.camera import CameraCalibrated, HorizonEstimate, HorizonVote, SceneChanged, ZoneDefined, ZoneRemoved
+from events.camera import (
+    CameraCalibrated,
+    CameraCalibratedV1,
+    HorizonEstimate,
+    HorizonVote,
+    SceneChanged,
+    ZoneDefined,
+    ZoneRemoved,
+)
 from events.catalogue import SHIPPED, Catalogue, load_catalogue
 from events.chains import Base, Chains, Fault, Place, Run, fault_behind
 from events.columns import EventBatch, batch_of, batch_of_type, events_of, schema_of, with_envelope
@@ -81,6 +89,7 @@ __all__ = [
     "AtDoor",
     "Base",
     "CameraCalibrated",
+    "CameraCalibratedV1",
     "Catalogue",
     "Chains",
     "CheckpointCountersigned",

@@ -5,8 +5,10 @@ Pixels: origin top-left, x right, y down. Ground: metres, east and north (ENU).
 
 from typing import Annotated, Literal
 
+import pyarrow as pa
 from pydantic import Field
 
+from events.columns import schema_of
 from events.model import AtDoor, EventType, Finite32, Float32, JsonText, Share32
 
 
@@ -42,8 +44,8 @@ class ZoneRemoved(EventType, type="zone_removed", version=1, subject="zone"):
     """why it was taken away; null where no reason was given"""
 
 
-class CameraCalibrated(EventType, type="camera_calibrated", version=1):
-    """Where this source's pixels lie on the ground, for points of the ground plane."""
+class CameraCalibratedV1(EventType, type="camera_calibrated", version=1):
+    """Where this source's pixels lie on the ground. Stored before version 2 came, and read as that."""
 
     homography: JsonText
     """3 x 3, row by row, as [[a, b, c], ...]: (X, Y, W) = H (x, y, 1) of px; X/W m east, Y/W m north, where W > 0"""
@@ -55,6 +57,40 @@ class CameraCalibrated(EventType, type="camera_calibrated", version=1):
     """how it was found: `points` (pairs of image and ground points), or the extractor's own word"""
     rms_m: Annotated[float, AtDoor(0)] | None
     """root mean square distance between given and mapped ground points, m; null where it was not measured"""
+
+
+class CameraCalibrated(EventType, type="camera_calibrated", version=2, older=CameraCalibratedV1):
+    """Where this source's pixels lie on the ground, for points of the ground plane."""
+
+    homography: JsonText
+    """3 x 3, row by row, as [[a, b, c], ...]: (X, Y, W) = H (x, y, 1) of px; X/W m east, Y/W m north, where W > 0"""
+    width: Annotated[int, AtDoor(1)]
+    """width of the frame that the pixels are of, px"""
+    height: Annotated[int, AtDoor(1)]
+    """height of the frame that the pixels are of, px"""
+    method: str
+    """how it was found: `points` (pairs of image and ground points), `tracks` (upright people), or otherwise"""
+    rms_m: Annotated[float, AtDoor(0)] | None
+    """root mean square left over: of ground points, or people's heights for `tracks`, m; null where not measured"""
+    focal_px: Annotated[float, AtDoor(0)] | None
+    """focal length, px; null where no camera was found beside the homography"""
+    pitch_rad: Annotated[float, AtDoor()] | None
+    """how far the view points below the horizontal, rad; null likewise"""
+    roll_rad: Annotated[float, AtDoor()] | None
+    """how far the horizon is turned in the picture, clockwise, rad; null likewise"""
+    height_m: Annotated[float, AtDoor(0)] | None
+    """height of the camera above the ground, m; null likewise"""
+    covariance: JsonText | None
+    """4 x 4, row by row, of focal_px, pitch_rad, roll_rad and height_m, in their units; null where it is not known"""
+    scale: str | None
+    """where metres come from: `person_height`, `camera_height`, `length`, `points`; null where that is not known"""
+
+    @classmethod
+    def upcast(cls, older: pa.RecordBatch) -> pa.RecordBatch:
+        """Events of version 1, which say nothing of the camera itself."""
+        schema = schema_of(cls)
+        new = [pa.nulls(len(older), field.type) for field in list(schema)[older.num_columns :]]
+        return pa.RecordBatch.from_arrays([*older.columns, *new], schema=schema)
 
 
 class SceneChanged(EventType, type="scene_changed", version=1):

@@ -3,22 +3,33 @@
 Contract: an answer rests on what the log held when the query began; projections are not needed.
 Only the types that a query names are decoded, in their newest version; what is stored in a version newer than this
 program knows has no row in its type's table, and is counted. Tables bear the columns of the row tables in
-PostgreSQL, so a query means the same at both doors; `events` has the envelope of all types, and
-`streams` the heads.
+PostgreSQL, so a query means the same at both doors; `events` has the envelope of all types, `streams`
+the heads, and `track_ground` the track points in metres.
 """
 
 import logging
 import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 
 import duckdb
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from events import EventBatch, EventType, Segment, UnknownType, decode, schema_of, with_envelope
+from events import (
+    CameraCalibrated,
+    EventBatch,
+    EventType,
+    Segment,
+    TrackPoint,
+    UnknownType,
+    VideoAdded,
+    decode,
+    schema_of,
+    with_envelope,
+)
 from store import Log
 from vian.errors import WrongUsage
 
@@ -59,6 +70,8 @@ _WRITES = (
     duckdb.StatementType.ALTER,
     duckdb.StatementType.DROP,
 )
+GROUND = "track_ground"
+"""The table of track points on the ground."""
 _CLAUSE = "match_recognize"
 _BY_TEXT = "query_table"
 """The function that takes the name of a table as text."""
@@ -75,6 +88,8 @@ class Scope:
     until: datetime | None = None
     sources: Sequence[str] | None = None
     stations: Sequence[str] | None = None
+    calibration: int | None = None
+    """Position of the calibration through which `track_ground` reads all points; None: the one valid at their time."""
     is_as_at_central: bool = False
     """Whether tables have the columns `id` and `type` too, as they have for questions to central."""
 
@@ -147,6 +162,8 @@ def _table(log: Log, name: str, scope: Scope) -> pa.Table | None:
         return _streams(log)
     if name == "events":
         return _in_scope(_events(log, scope), scope)
+    if name == GROUND and name not in log.catalogue:
+        return _ground(log, scope)
     if name in log.catalogue:
         return _in_scope(_rows(log, log.catalogue.newest(name), scope), scope)
     return None
@@ -168,6 +185,27 @@ def _rows(log: Log, event_type: type[EventType], scope: Scope) -> pa.Table:
     for reason, count in unknown.items():
         logger.warning("the answer leaves out %d events: %s", count, reason)
     return pa.Table.from_batches(batches, schema=schema)
+
+
+def _ground(log: Log, scope: Scope) -> pa.Table:
+    """The track points in scope on the ground; calibrations of all times, since one holds until the next.
+
+    Raises:
+        WrongUsage: There is no calibration at the position that the scope names.
+    """
+    from vian.grounding import track_ground  # the numbers' libraries, which other queries need not wait for
+
+    always = replace(scope, since=None, until=None, is_as_at_central=False)
+    points = _in_scope(_rows(log, TrackPoint, replace(scope, is_as_at_central=False)), scope)
+    calibrations = _rows(log, CameraCalibrated, always)
+    known = sorted(set(calibrations.column("position").to_pylist()))
+    if scope.calibration is not None and scope.calibration not in known:
+        have = ", ".join(map(str, known)) or "none"
+        raise WrongUsage(
+            f"there is no calibration at position {scope.calibration}; there are: {have}. "
+            'Next: vian query "SELECT position, source, time, method FROM camera_calibrated"'
+        )
+    return track_ground(points, calibrations, _rows(log, VideoAdded, always), scope.calibration)
 
 
 def _events(log: Log, scope: Scope) -> pa.Table:
@@ -265,4 +303,4 @@ def _explained(text: str, log: Log) -> WrongUsage:
 
 def tables(log: Log) -> list[str]:
     """The tables that a query may name."""
-    return ["events", "streams", *sorted(event_type.type_name for event_type in log.catalogue)]
+    return ["events", "streams", GROUND, *sorted(event_type.type_name for event_type in log.catalogue)]

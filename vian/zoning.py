@@ -213,7 +213,18 @@ def calibrate(log: Log, station: str, source: str, calibration: Calibration, rms
     """Record the source's calibration."""
     width, height = calibration.frame_size
     event = CameraCalibrated(
-        time=at, homography=json.dumps(calibration.matrix), width=width, height=height, method="points", rms_m=rms_m
+        time=at,
+        homography=json.dumps(calibration.matrix),
+        width=width,
+        height=height,
+        method="points",
+        rms_m=rms_m,
+        focal_px=None,
+        pitch_rad=None,
+        roll_rad=None,
+        height_m=None,
+        covariance=None,
+        scale="points",
     )
     _append(log, station, source, event)
 

@@ -13,6 +13,7 @@ from typing import Any, NoReturn
 
 from sqlglot import exp
 
+from patterns.binding import metric
 from patterns.binding.expressions import (
     Aggregate,
     Call,
@@ -118,6 +119,8 @@ class _Translator:
         if node.args.get("db") or node.args.get("catalog"):
             self.refuse("column name of more than two parts", "Next: write variable.column", node)
         self.check_variable(node)
+        if node.name.lower() == metric.SPEED and metric.SPEED not in self.scope.columns and not metric.is_quoted(node):
+            return self.expr(metric.speed_kmh(node))
         if self.is_at_row or not self.scope.has_match:
             return self.bare_column(node.this)
         return self.of_row(self.reader.reading(node), node)
@@ -392,6 +395,8 @@ class _Translator:
             return self.crosses(node)
         if name in _GROUND:
             return self.on_ground(node, name)
+        if name == "DISTANCE_M":
+            return self.distance_m(node)
         if name == "TIMER":
             return self.timer(node)
         like = did_you_mean(str(node.this), _FUNCTIONS_SHOWN.split(", "))
@@ -438,6 +443,20 @@ class _Translator:
         what, numbers, form = _GROUND[name]
         arguments = self.arguments(node, form, numbers, 0)
         return OnGround(what, self.with_source(tuple(self.number(part) for part in arguments)))
+
+    def distance_m(self, node: exp.Expr) -> Expr:
+        """Metres on the ground between the rows of two variables."""
+        form = "wanted distance_m(a, b), the rows of two pattern variables"
+        if len(node.expressions) != 2:
+            self.fail(f"{form}, got {len(node.expressions)} arguments", node)
+        for each in node.expressions:
+            if not isinstance(each, exp.Column) or each.args.get("table"):
+                self.fail(f"{form}, got {each.sql()}", each)
+            variable = canonical_name(each.name, metric.is_quoted(each))
+            if variable not in self.scope.frames:
+                have = ", ".join(self.scope.frames) or "none here"
+                self.fail(f"unknown pattern variable {each.name!r}; there are: {have}", each)
+        return self.expr(metric.distance_m(*node.expressions))
 
     def with_source(self, coordinates: tuple[Expr, ...]) -> tuple[Expr, ...]:
         """The coordinates after the source of their row, or of the row at hand where they are of several."""
@@ -560,7 +579,7 @@ _GROUND: dict[str, tuple[GroundValue, int, str]] = {
 }
 _FUNCTIONS_SHOWN = (
     "FIRST, LAST, PREV, NEXT, CLASSIFIER, MATCH_NUMBER, COUNT, SUM, MIN, MAX, AVG, ABS, SQRT, LEAST, GREATEST, "
-    "COALESCE, TIMER, in_zone, crosses, ground_x, ground_y, ground_speed"
+    "COALESCE, TIMER, in_zone, crosses, ground_x, ground_y, ground_speed, distance_m"
 )
 _HANDLERS: dict[type[exp.Expr], Callable[[_Translator, Any], Expr]] = {
     exp.Column: _Translator.column,

@@ -19,7 +19,8 @@ Units = Mapping[str, str]
 _NAMED = re.compile(r", (px/s|px|m/s|m)(?=$|[;,(])")
 _COMPARED = (exp.LT, exp.LTE, exp.GT, exp.GTE, exp.EQ, exp.NEQ, exp.Add, exp.Sub)
 _KEPT = frozenset(("PREV", "NEXT", "FIRST", "LAST", "MIN", "MAX", "AVG", "SUM", "ABS", "LEAST", "GREATEST", "COALESCE"))
-_GROUND = {"GROUND_X": "m", "GROUND_Y": "m", "GROUND_SPEED": "m/s"}
+_GROUND = {"GROUND_X": "m", "GROUND_Y": "m", "GROUND_SPEED": "m/s", "DISTANCE_M": "m"}
+_SHORT = {"speed_kmh": "km/h"}
 
 
 def units_of(schema: pa.Schema) -> dict[str, str]:
@@ -51,7 +52,7 @@ def mismatches(node: exp.Expr, units: Units, params: Mapping[str, Any]) -> Itera
 def unit_of(node: Any, units: Units, params: Mapping[str, Any]) -> str:
     """The expression's unit; empty if it has none, or none that is known."""
     if isinstance(node, exp.Column):
-        return units.get(node.name.lower(), "")
+        return units.get(node.name.lower(), _SHORT.get(node.name.lower(), ""))
     if isinstance(node, exp.Placeholder):
         value = params.get(str(node.this or ""))
         return value.base_unit if isinstance(value, Quantity) else ""

@@ -4,6 +4,7 @@ from datetime import UTC, datetime
 from typing import Any
 
 from events import (
+    CameraCalibrated,
     Draft,
     EventBatch,
     MatchedRange,
@@ -29,6 +30,13 @@ def track_point(**changed: Any) -> TrackPoint:
     plain = {"time": NOON, "track_id": 1, "frame": 0, "confidence": 1.0}
     plain |= dict.fromkeys(("x", "y", "x1", "y1", "x2", "y2", "vx", "vy"), 0.0)
     return TrackPoint(**(plain | changed))
+
+
+def camera_calibrated(**changed: Any) -> CameraCalibrated:
+    plain = {"time": NOON, "homography": "[[1, 0, 0], [0, 1, 0], [0, 0, 1]]", "width": 100, "height": 100}
+    plain |= {"method": "points", "rms_m": None, "scale": "points", "covariance": None}
+    plain |= dict.fromkeys(("focal_px", "pitch_rad", "roll_rad", "height_m"))
+    return CameraCalibrated(**(plain | changed))
 
 
 def rule_deployed(**changed: Any) -> RuleDeployed:

@@ -254,6 +254,8 @@ def test_an_optional_field_of_a_shipped_type_is_a_column_that_may_be_null() -> N
         *(f"{name}.{why}" for name in ("zone_defined", "zone_removed") for why in ("author", "reason")),
         "camera_calibrated.rms_m",
         *(f"track_ended.{name}" for name in ("x1_mean", "y1_mean", "x2_mean", "y2_mean")),
+        *(f"camera_calibrated.{name}" for name in ("focal_px", "pitch_rad", "roll_rad", "height_m")),
+        *(f"camera_calibrated.{name}" for name in ("covariance", "scale")),
         *(f"scene_changed.{name}" for name in ("dx", "dy")),
         "rule_deployed.after_position",
         "station_enrolled.address",

@@ -8,6 +8,8 @@ import zstandard
 
 from events import (
     SHIPPED,
+    CameraCalibrated,
+    CameraCalibratedV1,
     Catalogue,
     EventBatch,
     EventType,
@@ -105,4 +107,14 @@ def test_frozen_tracks_of_version_2_are_read_with_their_duration_and_no_mean_box
     assert [_plain(row) for row in new.data.to_pylist()] == [
         json.dumps(row | {"duration_s": duration} | _NO_BOX)
         for row, duration in zip(_rows("track_ended.v2"), (9.5, 1767268800.000001, 0.0, 0.0), strict=True)
+    ]
+
+
+def test_frozen_calibrations_of_version_1_say_nothing_of_the_camera_in_version_2() -> None:
+    frozen = decode_payload((GOLDEN / "camera_calibrated.v1.bin").read_bytes(), schema_of(CameraCalibratedV1))
+    new = Catalogue.shipped().upcast(EventBatch(CameraCalibratedV1, frozen))
+    assert new.type is CameraCalibrated
+    unsaid = dict.fromkeys(("focal_px", "pitch_rad", "roll_rad", "height_m", "covariance", "scale"))
+    assert [_plain(row) for row in new.data.to_pylist()] == [
+        json.dumps(row | unsaid) for row in _rows("camera_calibrated.v1")
     ]

@@ -389,3 +389,22 @@ def test_the_ground_is_arithmetic_with_the_calibration() -> None:
     assert np.array_equal(_asked(east[1].replace("`", ""), v=v), ours)
     with pytest.raises(RuleError, match="the log says no calibration of any source"):
         translate(rule, SCHEMAS)
+
+
+def test_kmh_and_distances_are_what_they_stand_for() -> None:
+    site = Site.of(
+        {"cam-01": (1000, 1000)}, calibrations={"cam-01": Calibration(((1, 0, 0), (0, -1, 9), (0, 0, 1)), (1, 1))}
+    )
+    apart = [f"(ground_{axis}(A.x, A.y) - ground_{axis}(B.x, B.y))" for axis in ("x", "y")]
+    meant = f"SQRT({apart[0]} * {apart[0]} + {apart[1]} * {apart[1]})"
+    said = []
+    for kmh, distance in (
+        ("speed_kmh", "distance_m(A, B)"),
+        ("ground_speed(x, y, vx, vy) * 3.6", meant),
+    ):
+        rule = letter_rule(
+            "A B", f"A AS {kmh} > 50, B AS {distance} < 2", partition="source, track_id", source="track_point"
+        )
+        text_ = translate(rule, SCHEMAS, site=site).text
+        said.append([line for line in text_.splitlines() if not line.startswith("--")])
+    assert said[0] == said[1]

@@ -9,12 +9,13 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from events import CameraCalibrated, EventType, VideoAdded, ZoneDefined, ZoneRemoved
+from events import EventType, VideoAdded, ZoneDefined, ZoneRemoved
 from patterns import Match, RuleError, RuleRun, RuleSetRun, Zone, bind, match, parse_rule
 from patterns.errors import MatchError
 from patterns.scene.geometry import Line
 from patterns.scene.ground import Calibration
 from patterns.scene.site import Site
+from tests.events.examples import camera_calibrated
 from tests.patterns.samples import BEGINNING, SCHEMAS
 
 HEAD = """\
@@ -110,6 +111,23 @@ def test_metres_are_asked_through_the_calibration() -> None:
     assert found(right, rows(steps), known) == [250.0]
 
 
+def test_speeds_in_kmh_and_distances_are_written_short() -> None:
+    # 10 px/s to the right at y = 50 px is 1/1.05 m/s to the east.
+    assert found("speed_kmh BETWEEN 3.428571 AND 3.428572", rows([(7.0, 50.0)]), site()) == [7.0]
+    assert found("A.speed_kmh > 3.43 OR speed_kmh IS NULL", rows([(7.0, 50.0)]), site()) == []
+    assert found("speed_kmh IS NULL", rows([(7.0, 50.0)], "cam-02"), site()) == [7.0]
+
+
+def test_the_distance_of_two_rows_is_in_metres() -> None:
+    define = "A AS TRUE, B AS distance_m(A, B) > 9.52 AND distance_m(B, A) < 9.53"
+    head = HEAD.replace("LAST(A.x) AS x", "LAST(B.x) AS x, distance_m(A, B) AS apart, B.speed_kmh AS kmh")
+    assert head != HEAD
+    bound = bind(parse_rule(head + f"    PATTERN (A B) DEFINE {define})\n"), SCHEMAS, site=site())
+    (one,) = match(bound, rows([(100.0, 50.0), (200.0, 50.0), (205.0, 50.0)]))
+    assert one.measures["apart"] == pytest.approx(10 / 1.05)
+    assert one.measures["kmh"] == pytest.approx(3.6 / 1.05)
+
+
 def test_pixels_of_another_frame_size_are_scaled_to_the_calibrations() -> None:
     large = Site.of({"cam-01": (2000, 4000)}, {}, {"cam-01": CALIBRATION})
     points = [(400.0, 200.0)]
@@ -158,6 +176,9 @@ def test_values_of_a_list_are_found_in_it() -> None:
         ("track_id IN :limit", "IN takes a list, and the parameter :limit is none"),
         ("track_id IN :wotch", "unknown parameter :wotch"),
         ("in_zone(x, y, 'yrad')", "unknown zone 'yrad'; zones has: none; shared has: door, yard; did you mean 'yard'?"),
+        ("distance_m(A) > 1", "wanted distance_m(a, b), the rows of two pattern variables, got 1 arguments"),
+        ("distance_m(A, 3) > 1", "wanted distance_m(a, b), the rows of two pattern variables, got 3"),
+        ("distance_m(A, C) > 1", "unknown pattern variable 'C'; there are: A"),
         ("ground_speed(x, y) > 1", "wanted ground_speed(x, y, vx, vy), got 2 arguments"),
     ],
 )
@@ -232,7 +253,7 @@ def test_a_removed_zone_is_nowhere() -> None:
 def test_a_calibration_is_learnt_and_named() -> None:
     run = run_of("ground_x(x, y) > 0", "0 s")
     matrix = json.dumps(CALIBRATION.matrix)
-    calibrated = CameraCalibrated(time=BEGINNING, homography=matrix, width=1000, height=1000, method="m", rms_m=None)
+    calibrated = camera_calibrated(time=BEGINNING, homography=matrix, width=1000, height=1000)
     run.learn(calibrated, "s/cam-01/camera_calibrated", 4)
     (found,) = run.push(rows([(5.0, 5.0)] * 2)).matches
     assert [each.first_sequence for each in found.judged_by["calibration"]] == [4]
@@ -244,9 +265,8 @@ def test_a_calibration_is_learnt_and_named() -> None:
         (defined("yard", 1, [[0, 0], [1, 1]]), "defines no zone 'yard': a polygon needs 3 points"),
         (defined("yard", 1, 7), "defines no zone 'yard'"),
         (defined("yard", 1, [[0, 0], [1, 2]], kind="line", units="normalised"), "defines no line 'yard': normalised"),
-        (CameraCalibrated(time=BEGINNING, homography="[[1, 2]]", width=1, height=1, method="m", rms_m=None), "says no"),
-        (CameraCalibrated(time=BEGINNING, homography="[[0,0,0],[0,0,0],[0,0,0]]", width=1, height=1, method="m",
-                          rms_m=None), "must not be singular"),
+        (camera_calibrated(homography="[[1, 2]]"), "says no"),
+        (camera_calibrated(homography="[[0,0,0],[0,0,0],[0,0,0]]"), "must not be singular"),
     ],
 )  # fmt: skip
 def test_an_event_that_says_no_place_is_named(event: EventType, message: str) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from events import CameraCalibrated, PlateRead, StreamName, batch_of, encode
+from events import PlateRead, StreamName, batch_of, encode
 from patterns import parse_rule
 from patterns.engine.ruleset import RuleSetRun
 from patterns.engine.situations import Narrator
@@ -29,6 +29,7 @@ from patterns.processor import (
 from patterns.processor.members import Pace
 from store import Checkpoint, Log, LogUnavailable, Transaction
 from tests.conftest import MakeLog
+from tests.events.examples import camera_calibrated
 from tests.patterns.walkers import (
     PRODUCER,
     STATION,
@@ -507,7 +508,7 @@ def test_a_source_that_is_not_calibrated_is_left_out_and_named_until_it_is(
         "    MEASURES LAST(A.x) AS x PATTERN (A) DEFINE A AS ground_speed(x, y, vx, vy) > 0.1)\n"
     )
     scale = json.dumps([[0.1, 0, 0], [0, -0.1, 10], [0, 0, 1]])
-    calibrated = CameraCalibrated(time=T0, homography=scale, width=100, height=100, method="points", rms_m=None)
+    calibrated = camera_calibrated(time=T0, homography=scale)
     say(log, "street", calibrated)
     deployed(log, fast)
     walkers(log, "gate", seconds=4)

@@ -47,7 +47,8 @@ READERS = [
 def test_the_commands_are_those_that_there_should_be() -> None:
     assert {" ".join(path) for path in ALL} == {
         "archive", "archive project", "archive relocate", "archive status", "backup", "demo", "doctor", "events",
-        "evidence export", "evidence verify", "extract horizon", "extract motion", "find plate", "find situation",
+        "evidence export", "evidence verify", "extract calibration", "extract horizon", "extract motion", "find plate",
+        "find situation",
         "init", "project", "project maintain",
         "project rebuild", "project status", "prune", "psql", "query", "restore", "rules backtest",
         "rules check", "rules deploy", "rules expand", "rules explain", "rules flink", "rules lint", "rules new",
@@ -222,7 +223,9 @@ def test_each_command_of_the_table_is_the_one_of_that_name(name: str) -> None:
 
 def test_every_module_of_commands_is_in_the_table() -> None:
     there = {path.stem for path in Path(log_commands.__file__).parent.glob("*.py")} - {"__init__"}
-    of_a_group = {name for name in there if name.startswith(("rules_", "sync_"))}  # registered by `rules` and `sync`
+    of_a_group = {
+        name for name in there if name.startswith(("rules_", "sync_", "extract_"))
+    }  # registered by their group
     assert there - of_a_group == set(cli.MODULES.values())
 
 

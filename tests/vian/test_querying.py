@@ -153,7 +153,8 @@ def weighed(seconds: int) -> VehicleWeighed:
 
 def test_an_unknown_table_is_told_with_those_that_there_are(log: Log) -> None:
     with pytest.raises(
-        WrongUsage, match=r"Table with name nowhere does not exist[\s\S]*\nTables: events, streams, activity_"
+        WrongUsage,
+        match=r"Table with name nowhere does not exist[\s\S]*\nTables: events, streams, track_ground, activity_",
     ):
         query(log, "select * from nowhere")
 

@@ -1,4 +1,4 @@
-"""`vian extract`: run an extractor on a video."""
+"""`vian extract`: run an extractor on a video, or on what the log holds."""
 
 from pathlib import Path
 from typing import Annotated
@@ -10,13 +10,14 @@ from extractors.motion import Detector, MotionConfig
 from extractors.motion.onnx import OnnxDetector
 from store import Projector
 from vian import options
+from vian.commands import extract_calibration
 from vian.errors import WrongUsage
 from vian.extraction import Extraction, Job, extract_motion
 from vian.horizon_extraction import HorizonExtraction, HorizonJob, extract_horizon
 from vian.options import has_zone, opened, settings_for, time_of
 from vian.output import Output
 
-app = typer.Typer(help="Run an extractor on a video; its events go into the log.", no_args_is_help=True)
+app = typer.Typer(help="Run an extractor on a video or on tracks; its events go into the log.", no_args_is_help=True)
 
 Again = Annotated[int, typer.Option("--again", help="Repeat it as process number N.", min=1)]
 _EXAMPLE = "Example: vian extract motion gate.mp4 --source gate --start 2026-01-31T12:00:00Z"
@@ -144,6 +145,9 @@ def report_horizon(output: Output, extraction: HorizonExtraction) -> None:
     if extraction.was_done:
         text += " (done in an earlier run; --again 2 repeats it as a new process)"
     output.result(values, text)
+
+
+app.command(epilog=extract_calibration.EXAMPLE)(extract_calibration.calibration)
 
 
 def report(output: Output, extraction: Extraction) -> None:

@@ -54,6 +54,15 @@ def query(
         int | None,
         typer.Option("--limit", min=1, max=10_000, help="With --central: most rows.", show_default="1000"),
     ] = None,
+    calibration: Annotated[
+        int | None,
+        typer.Option(
+            "--calibration",
+            help="For `track_ground`: position of the calibration to read all points through.",
+            min=1,
+            show_default="the one valid at each point's time",
+        ),
+    ] = None,
     format_: Annotated[
         Format, typer.Option("--format", help="Form of the answer: table, csv, json, parquet or arrow.")
     ] = Format.TABLE,
@@ -72,13 +81,15 @@ def query(
     if chosen in (Format.PARQUET, Format.ARROW) and output_file is None:
         raise WrongUsage(f"--format {chosen} is binary and needs a file. Next: add --output FILE")
     settings, output = settings_for(data_dir, dsn), Output(is_json=chosen is Format.JSON)
-    _check_central(at_central, limit, since or until or source)
+    _check_central(at_central, limit, since or until or source or calibration)
     with opened(settings, data_dir=data_dir) as log:
         if at_central:
             table = _at_central(log, settings, sql, limit, output)
         else:
             check_known("source", source, {head.stream.source for head in log.streams()})
-            table = answer(log, sql, Scope(time_of("--since", since), time_of("--until", until), source))
+            table = answer(
+                log, sql, Scope(time_of("--since", since), time_of("--until", until), source, calibration=calibration)
+            )
     try:
         write(presentable(table), chosen, output_file, output)
     except BrokenPipeError:
@@ -96,7 +107,10 @@ def _check_central(at_central: bool, limit: int | None, scope: object) -> None:
         WrongUsage: They do not.
     """
     if at_central and scope:
-        raise WrongUsage("--central takes no --since, --until and --source. Next: say it in the SQL: WHERE time >= ...")
+        raise WrongUsage(
+            "--central takes no --since, --until, --source and --calibration. "
+            "Next: say it in the SQL: WHERE time >= ..."
+        )
     if limit is not None and not at_central:
         raise WrongUsage("--limit is for --central. Next: say it in the SQL: LIMIT 10")
 

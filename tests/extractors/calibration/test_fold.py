@@ -1,0 +1,153 @@
+"""The fold against scenes whose cameras are known."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from events import CameraCalibrated, EventType, events_of
+from extractors.calibration import (
+    CalibrationConfig,
+    CalibrationFold,
+    Camera,
+    CameraHeight,
+    Horizon,
+    KnownLength,
+    Scale,
+)
+from tests.extractors.motion.test_real_clips import pets_truth
+from tests.extractors.synthetic import Walks, homography_error, walks
+
+CAMERA = Camera(900.0, 0.35, 0.05, 5.0, 1280, 720)
+TILTED = Camera(650.0, 0.5, 0.3, 4.0, 768, 576)
+
+
+def fold(camera: Camera, scale: Scale | None = None, config: CalibrationConfig | None = None) -> CalibrationFold:
+    return CalibrationFold(config or CalibrationConfig(), (camera.width, camera.height), scale)
+
+
+def fed(run: CalibrationFold, seen: Walks, cuts: int = 1) -> list[EventType]:
+    events: list[EventType] = []
+    for part in np.array_split(np.arange(len(seen.time_us)), cuts):
+        run.add_points(seen.time_us[part], seen.track_id[part], seen.boxes_xyxy[part], seen.confidence[part])
+        events += [event for batch in run.take() for event in events_of(batch)]
+    return events + [event for batch in run.finish() for event in events_of(batch)]
+
+
+@pytest.mark.parametrize("camera", [CAMERA, TILTED], ids=["plain", "rolled by 17 degrees"])
+def test_without_noise_the_homography_is_right(camera: Camera) -> None:
+    run = fold(camera)
+    fed(run, walks(camera))
+    assert run.said is not None
+    assert homography_error(camera, run.said.camera) < 0.01  # what is left is the priors' pull
+
+
+def test_noise_is_told_by_the_uncertainty() -> None:
+    deviations = []
+    for noise in (0.01, 0.03, 0.06):
+        run = fold(CAMERA)
+        fed(run, walks(CAMERA, noise_share=noise))
+        assert run.said is not None
+        assert homography_error(CAMERA, run.said.camera) < 0.05 + 3 * noise
+        off = np.abs(run.said.parameters - np.array([np.log(900.0), 0.35, 0.05, np.log(5.0)]))
+        assert (off < 3 * np.sqrt(np.diag(run.said.covariance))).all()
+        deviations.append(run.said.covariance[0, 0])
+    assert deviations == sorted(deviations)
+
+
+def test_how_points_come_in_changes_nothing() -> None:
+    seen = walks(CAMERA, people=9, noise_share=0.02)
+    assert fed(fold(CAMERA), seen) == fed(fold(CAMERA), seen, cuts=37)
+
+
+def test_the_event_says_what_was_found() -> None:
+    run = fold(CAMERA)
+    events = fed(run, walks(CAMERA, people=8))
+    event = events[-1]
+    assert isinstance(event, CameraCalibrated)
+    assert run.said is not None
+    assert (event.method, event.scale, event.width, event.height) == ("tracks", "person_height", 1280, 720)
+    assert event.focal_px == run.said.camera.focal_px
+    np.testing.assert_array_equal(json.loads(event.homography), run.said.camera.homography)
+    deviations = np.sqrt(np.diag(json.loads(str(event.covariance))))
+    assert deviations[0] == pytest.approx(np.sqrt(run.said.covariance[0, 0]) * event.focal_px)
+
+
+@pytest.mark.parametrize("kind", ["height", "length"])
+def test_metres_come_from_what_is_known(kind: str) -> None:
+    """People here are 9 % taller than the prior says: a height or a length that is known decides."""
+    large = Camera(900.0, 0.35, 0.05, 5.0, 1280, 720)
+    seen = walks(Camera(900.0, 0.35, 0.05, 5.0 / 1.09, 1280, 720))
+    ends = np.array([[500.0, 500.0], [800.0, 520.0]])
+    one, other = large.ground(ends)
+    length = KnownLength((500.0, 500.0), (800.0, 520.0), float(np.hypot(*(one - other))))
+    run = fold(large, CameraHeight(5.0, 0.02) if kind == "height" else length)
+    fed(run, seen)
+    assert run.said is not None
+    assert run.said.camera.height_m == pytest.approx(5.0, rel=0.02)
+    by_people = fold(large)
+    fed(by_people, seen)
+    assert by_people.said is not None
+    assert by_people.said.camera.height_m == pytest.approx(5.0 / 1.09, rel=0.02)
+
+
+def test_a_known_horizon_joins() -> None:
+    seen = walks(CAMERA, people=7, noise_share=0.05)
+    alone, told = fold(CAMERA), fold(CAMERA)
+    told.add_horizon(Horizon(*CAMERA.horizon, np.diag([1e-8, 1e-2])))
+    fed(alone, seen), fed(told, seen)
+    assert told.said is not None
+    assert told.said.camera.horizon[1] == pytest.approx(CAMERA.horizon[1], abs=0.5)
+    assert alone.said is None or told.said.covariance[1, 1] < alone.said.covariance[1, 1]
+
+
+def test_what_does_not_decide_gets_no_event() -> None:
+    run = fold(CAMERA)
+    assert run.finish() == ()
+    assert "takes 5 upright tracks or more, got 0" in run.reason
+    standing = walks(CAMERA, people=9)
+    run.add_points(standing.time_us, standing.track_id, np.tile(standing.boxes_xyxy[:1], (len(standing.time_us), 1)),
+                   standing.confidence)  # fmt: skip
+    assert run.finish() == ()
+    seen = walks(CAMERA, people=9)
+    wild = seen.boxes_xyxy.copy()
+    height = np.random.default_rng(1).uniform(20, 300, len(wild))
+    wild[:, 1] = wild[:, 3] - height
+    wild[:, 0], wild[:, 2] = wild[:, 0], wild[:, 0] + height * 0.4
+    run = fold(CAMERA)
+    run.add_points(seen.time_us, seen.track_id, wild, seen.confidence)
+    assert run.finish() == ()
+
+
+def test_points_that_were_only_expected_and_boxes_cut_off_say_nothing() -> None:
+    seen = walks(CAMERA, people=6)
+    run = fold(CAMERA)
+    run.add_points(seen.time_us, seen.track_id, seen.boxes_xyxy, 0 * seen.confidence)
+    run.add_points(seen.time_us, seen.track_id, seen.boxes_xyxy - seen.boxes_xyxy[:, :1].repeat(4, 1), seen.confidence)
+    assert run.finish() == ()
+    assert "got 0" in run.reason
+
+
+def test_memory_is_bounded() -> None:
+    seen = walks(CAMERA, people=25)
+    config = CalibrationConfig(tracks_max=5, points_max=8)
+    run = fold(CAMERA, config=config)
+    fed(run, seen)
+    assert run.said is not None
+    assert run.said.tracks <= 5
+
+
+def test_the_annotated_clip_is_calibrated(vian_data: Path) -> None:
+    """Against the published calibration: focal length 744 px, height 7.07 m, pitch 16.5 degrees."""
+    rows = pets_truth(vian_data)
+    run = CalibrationFold(CalibrationConfig(), (480, 360))
+    run.add_points(
+        (rows[:, 0] / 7 * 1e6).astype(np.int64), rows[:, 1].astype(np.int64), rows[:, 2:], np.ones(len(rows))
+    )
+    run.finish()
+    assert run.said is not None
+    camera = run.said.camera
+    assert camera.focal_px == pytest.approx(744, rel=0.15)
+    assert camera.height_m == pytest.approx(7.07, rel=0.12)
+    assert camera.pitch_rad == pytest.approx(0.288, abs=0.04)

@@ -1,0 +1,148 @@
+"""`vian extract calibration`, and what track points are on the ground from then on."""
+
+import json
+from collections.abc import Callable
+from datetime import UTC, datetime, timedelta
+from typing import Any
+
+import numpy as np
+import pytest
+
+from events import CameraCalibrated, Producer, StreamName, TrackPoint, VideoAdded, batch_of, encode
+from extractors.calibration import Camera
+from store import Log
+from tests.events.examples import camera_calibrated, track_point
+from tests.extractors.synthetic import walks
+from tests.patterns.walkers import STATION
+from tests.vian.conftest import Ran, Run
+from vian.errors import WrongUsage
+from vian.querying import Scope, query
+
+START = datetime(2026, 1, 1, 12, tzinfo=UTC)
+PRODUCER = Producer("motion", "1", bytes(32))
+Calibrate = Callable[..., Ran]
+
+
+@pytest.fixture
+def calibrate(log: Log, run: Run) -> Calibrate:
+    def invoke(*arguments: object) -> Ran:
+        return run("extract", "calibration", *arguments, "--dsn", log.dsn, "--station", STATION)
+
+    return invoke
+
+
+def say(log: Log, event: CameraCalibrated | TrackPoint | VideoAdded, source: str = "cam-01") -> int:
+    """Append the event; its position."""
+    stream = StreamName.of(STATION, source, type(event).type_name)
+    return log.append([encode(stream, batch_of([event]), PRODUCER)], [log.stream_head(stream).sequence])[0].position
+
+
+def add_video(log: Log) -> None:
+    size: dict[str, Any] = {"width": 768, "height": 576, "fps": 5.0, "frames_expected": 100, "codec": "h264"}
+    say(log, VideoAdded(time=START, video="00", path="v", started_at=START, **size))
+
+
+def walk(log: Log, camera: Camera) -> None:
+    """Let people cross the view of the camera, whose frames are as large as those of `add_video`."""
+    seen = walks(camera, people=9, seconds=12, noise_share=0.01)
+    points = []
+    for at in range(len(seen.time_us)):
+        x1, y1, x2, y2 = seen.boxes_xyxy[at].tolist()
+        points.append(
+            track_point(
+                time=START + timedelta(microseconds=int(seen.time_us[at])), track_id=int(seen.track_id[at]),
+                x=(x1 + x2) / 2, y=y2, x1=x1, y1=y1, x2=x2, y2=y2,
+            )
+        )  # fmt: skip
+    stream = StreamName.of(STATION, "cam-01", "track_point")
+    log.append([encode(stream, batch_of(points), PRODUCER)], [0])
+
+
+def rows(log: Log, sql: str, **scope: Any) -> list[dict[str, Any]]:
+    found: list[dict[str, Any]] = query(log, sql, Scope(**scope)).to_pylist()
+    return found
+
+
+def test_a_camera_is_calibrated_from_its_tracks_once(calibrate: Calibrate, log: Log) -> None:
+    add_video(log)
+    camera = Camera(700.0, 0.4, 0.05, 5.0, 768, 576)
+    walk(log, camera)
+    ran = calibrate("--source", "cam-01", "--height-m", "5", "--json")
+    assert ran.code == 0, ran.err
+    told = json.loads(ran.out)
+    assert (told["calibrated"], told["scale"], told["height_m"]) == (
+        True,
+        "camera_height",
+        pytest.approx(5.0, rel=0.02),
+    )
+    assert told["focal_px"] == pytest.approx(camera.focal_px, rel=0.1)
+    assert "0 events appended" in calibrate("--source", "cam-01", "--height-m", "5").out
+    found = rows(log, "select * from track_ground where time >= (select max(time) from camera_calibrated)")
+    assert found
+    assert all(row["ground_x_deviation"] > 0 and row["ground_speed_deviation"] > 0 for row in found)
+    named = told_position(log)
+    every = rows(log, "select * from track_ground order by time, track_id", calibration=named)
+    assert {row["calibration_position"] for row in every} == {named}
+    seen = walks(camera, people=9, seconds=12, noise_share=0.01)
+    mapped = np.array([(row["ground_x"], row["ground_y"]) for row in every])
+    told_m = np.array([(row["ground_x_deviation"], row["ground_y_deviation"]) for row in every])
+    assert np.median(np.hypot(*(mapped - seen.feet_enu).T) / np.hypot(*told_m.T)) < 2
+
+
+def told_position(log: Log) -> int:
+    (found,) = rows(log, "select max(position) as newest from camera_calibrated")
+    return int(found["newest"])
+
+
+def test_a_later_calibration_edits_nothing_and_points_can_be_read_through_it(log: Log) -> None:
+    scale = "[[{0}, 0, 0], [0, {0}, 0], [0, 0, 1]]"
+    for second in range(4):
+        say(log, track_point(time=START + timedelta(seconds=second), x=10.0, y=20.0, vx=3.0, vy=4.0, y1=0.0, y2=20.0))
+    say(log, track_point(time=START, x=10.0, y=20.0), "cam-02")
+    first = say(log, camera_calibrated(time=START + timedelta(seconds=1), homography=scale.format(0.1)))
+    better = say(log, camera_calibrated(time=START + timedelta(seconds=3), homography=scale.format(0.2)))
+    asked = "select source, ground_x, ground_speed, ground_x_deviation, calibration_position as c from track_ground "
+    asked += "order by source, time"
+    told = [(row["source"], row["ground_x"], row["ground_speed"], row["c"]) for row in rows(log, asked)]
+    assert told == [
+        ("cam-01", None, None, None),  # before the first calibration
+        ("cam-01", 1.0, 0.5, first),
+        ("cam-01", 1.0, 0.5, first),
+        ("cam-01", 2.0, 1.0, better),
+        ("cam-02", None, None, None),
+    ]
+    assert {row["ground_x_deviation"] for row in rows(log, asked)} == {None}  # these say no uncertainty
+    through = [row["ground_x"] for row in rows(log, asked, calibration=better)]
+    assert through == [2.0, 2.0, 2.0, 2.0, None]
+    since = rows(log, asked, since=START + timedelta(seconds=2))
+    assert [row["ground_x"] for row in since] == [1.0, 2.0]
+    with pytest.raises(WrongUsage, match=rf"no calibration at position 99; there are: {first}, {better}"):
+        rows(log, asked, calibration=99)
+
+
+def test_too_little_calibrates_nothing_and_says_why(calibrate: Calibrate, log: Log) -> None:
+    assert "the log has no video of source cam-01" in calibrate("--source", "cam-01").words
+    add_video(log)
+    ran = calibrate("--source", "cam-01")
+    assert (ran.code, "the log has no track points of source cam-01" in ran.words) == (1, True)
+    say(log, track_point(time=START))
+    ran = calibrate("--source", "cam-01")
+    assert (ran.code, "cam-01 is not calibrated: after 1 track points" in ran.out) == (0, True)
+    assert rows(log, "select * from camera_calibrated") == []
+
+
+@pytest.mark.parametrize(
+    "arguments,message",
+    [
+        (("--height-m", "5", "--person-height-m", "1.7"), "give one of --height-m, --length and --person-height-m"),
+        (("--height-m", "-5"), "--height-m must be a length above 0, got -5"),
+        (("--person-height-m", "nan"), "--person-height-m must be a length above 0, got nan"),
+        (("--length", "1,2,3,4"), "--length must be X1,Y1,X2,Y2,METRES such as"),
+        (("--length", "1,2,1,2,3"), "--length must be of two points apart"),
+        (("--length", "1,2,90000,4,5"), "the point 90000,4 lies outside the frame"),
+    ],
+)
+def test_what_is_wrong_is_said(calibrate: Calibrate, log: Log, arguments: tuple[str, ...], message: str) -> None:
+    add_video(log)
+    ran = calibrate("--source", "cam-01", *arguments)
+    assert (ran.code, message in ran.words) == (2, True), ran.words

@@ -1,0 +1,96 @@
+"""`vian extract calibration`: a camera's calibration from the track points in the log."""
+
+import math
+from typing import Annotated
+
+import typer
+
+from extractors.calibration import CalibrationConfig, CameraHeight, KnownLength, PersonHeight, Scale
+from store import Projector
+from vian import options
+from vian.calibrating import Calibrating, calibrate_from_tracks
+from vian.errors import WrongUsage
+from vian.options import opened, settings_for
+from vian.output import Output
+
+EXAMPLE = "Example: vian extract calibration --source gate --height-m 6.5"
+HEIGHT_DEVIATION_SHARE = 0.02
+"""Standard deviation of a height that somebody gives: measured with a tape or read off a plan."""
+
+
+def calibration(
+    source: Annotated[str, typer.Option("--source", help="Name of the camera.")],
+    height_m: Annotated[
+        float | None, typer.Option("--height-m", help="Height of the camera above the ground, m, known within 2 %.")
+    ] = None,
+    length: Annotated[
+        str | None,
+        typer.Option("--length", help="Two points of the ground, px, and their distance, m: X1,Y1,X2,Y2,METRES."),
+    ] = None,
+    person_height_m: Annotated[
+        float | None,
+        typer.Option("--person-height-m", help="Mean height of the people who pass, m.", show_default="1.70"),
+    ] = None,
+    data_dir: options.DataDir = None,
+    dsn: options.Dsn = None,
+    station: options.Station = None,
+    as_json: options.Json = False,
+) -> None:
+    """Calibrate a camera from the upright people among its tracks: from then on rules have metres."""
+    config = CalibrationConfig()
+    scale = scale_of(height_m, length, person_height_m, config)
+    settings = settings_for(data_dir, dsn, station=station)
+    with opened(settings, data_dir=data_dir) as log:
+        done = calibrate_from_tracks(log, settings.station, source, config, scale)
+        Projector(log).catch_up()
+    _report(Output(is_json=as_json), source, done)
+
+
+def scale_of(
+    height_m: float | None, length: str | None, person_height_m: float | None, config: CalibrationConfig
+) -> Scale:
+    """Where metres come from, as the options say.
+
+    Raises:
+        WrongUsage: There are several, or one is not right.
+    """
+    if sum(each is not None for each in (height_m, length, person_height_m)) > 1:
+        raise WrongUsage("give one of --height-m, --length and --person-height-m: metres come from one of them")
+    for option, value in (("--height-m", height_m), ("--person-height-m", person_height_m)):
+        if value is not None and not (math.isfinite(value) and value > 0):
+            raise WrongUsage(f"{option} must be a length above 0, got {value:g}")
+    if height_m is not None:
+        return CameraHeight(height_m, HEIGHT_DEVIATION_SHARE * height_m)
+    if length is not None:
+        return _length(length)
+    return PersonHeight(person_height_m or config.person_height_m, config.person_spread_m)
+
+
+def _length(text: str) -> KnownLength:
+    try:
+        x1, y1, x2, y2, metres = (float(part) for part in text.split(","))
+    except ValueError as error:
+        raise WrongUsage(f"--length must be X1,Y1,X2,Y2,METRES such as 310,420,655,431,7.3, got {text!r}") from error
+    if not all(math.isfinite(value) for value in (x1, y1, x2, y2, metres)) or metres <= 0 or (x1, y1) == (x2, y2):
+        raise WrongUsage(f"--length must be of two points apart and a length above 0, got {text!r}")
+    return KnownLength((x1, y1), (x2, y2), metres)
+
+
+def _report(output: Output, source: str, done: Calibrating) -> None:
+    event = done.newest
+    values = {"source": source, "points": done.points, "appended": done.appended, "reason": done.reason}
+    if event is None:
+        output.result(
+            values | {"calibrated": False},
+            f"{source} is not calibrated: after {done.points} track points {done.reason}. Next: let more people pass, "
+            f"or vian zones calibrate {source} FILE with points that you know",
+        )
+        return
+    names = ("focal_px", "pitch_rad", "roll_rad", "height_m", "rms_m", "scale", "covariance")
+    values |= {"calibrated": True} | {name: getattr(event, name) for name in names}
+    output.result(
+        values,
+        f"{source} is calibrated from {done.points} track points: focal length {event.focal_px:.0f} px, "
+        f"pitch {math.degrees(event.pitch_rad or 0):.1f}°, roll {math.degrees(event.roll_rad or 0):.1f}°, "
+        f"height {event.height_m:.2f} m ({done.appended} events appended)",
+    )
