@@ -5,7 +5,8 @@ ExtractorError
     ├── VideoUnreadable     not there, not a file, no permission, empty, or not a video
     ├── VideoHasNoFrames    a video whose frames cannot be decoded, not one of them
     ├── DecoderDied         the decoding process crashed or was killed; names the last good frame
-    └── DecoderStalled      the decoding process said nothing for too long; it was ended
+    ├── DecoderStalled      the decoding process said nothing for too long; it was ended
+    └── StreamLost          a live stream that stayed away for longer than it is waited for
 """
 
 
@@ -31,3 +32,7 @@ class DecoderDied(VideoError):
 
 class DecoderStalled(VideoError):
     """The decoding process said nothing for longer than the limit, and was ended."""
+
+
+class StreamLost(VideoError):
+    """A live stream was interrupted for longer than the limit."""
