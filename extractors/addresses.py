@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from urllib.parse import SplitResult, quote, unquote, urlsplit
 
-from extractors.errors import VideoUnreadable
+from extractors.errors import BadAddress
 from extractors.wire import Medium
 
 SCHEMES = ("rtsp", "rtsps", "http", "https")
@@ -47,11 +47,11 @@ class Address:
         """The same address, to be opened as `user:password`.
 
         Raises:
-            VideoUnreadable: It is no login, or the address has none.
+            BadAddress: It is no login, or the address has none.
         """
         user, colon, password = login.strip().partition(":")
         if self.medium is Medium.CAMERA or not user or not colon or "\n" in password:
-            raise VideoUnreadable(
+            raise BadAddress(
                 f"{self.shown}: a login is one line `user:password` for an address of {', '.join(SCHEMES)}"
             )
         parts = urlsplit(self.place)
@@ -68,7 +68,7 @@ def parsed(text: str) -> Path | Address:
     '/dev/video0'
 
     Raises:
-        VideoUnreadable: An address of a protocol that is not read, or without a host.
+        BadAddress: An address of a protocol that is not read, or without a host.
     """
     if text.isascii() and text.isdigit():
         return Address(Medium.CAMERA, f"/dev/video{int(text)}")
@@ -82,7 +82,7 @@ def parsed(text: str) -> Path | Address:
     except ValueError:
         is_whole = False
     if scheme.lower() not in SCHEMES or not is_whole:
-        raise VideoUnreadable(
+        raise BadAddress(
             f"an address must be {', '.join(f'{each}://host/...' for each in SCHEMES)}, got one of {scheme!r}"
             f"{'' if is_whole else ' without a host that can be read'}. Next: correct it, or give a file"
         )

@@ -1,6 +1,8 @@
 """What can go wrong in extraction.
 
 ExtractorError
+├── BadAddress              an address that is none, or not of a protocol that is read, or a login that is none
+├── MaskUnreadable          an area to ignore that cannot be read, or does not fit the video
 └── VideoError              a video that cannot be read, wholly or from some frame on
     ├── VideoUnreadable     not there, not a file, no permission, empty, or not a video
     ├── VideoHasNoFrames    a video whose frames cannot be decoded, not one of them
@@ -12,6 +14,14 @@ ExtractorError
 
 class ExtractorError(Exception):
     """Base of every error that the package `extractors` raises."""
+
+
+class BadAddress(ExtractorError):
+    """An address that is none, or not of a protocol that is read, or a login that is none."""
+
+
+class MaskUnreadable(ExtractorError):
+    """An area to ignore that cannot be read, or does not fit the video."""
 
 
 class VideoError(ExtractorError):

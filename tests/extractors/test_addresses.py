@@ -3,7 +3,7 @@ from pathlib import Path
 import pytest
 
 from extractors.addresses import Address, parsed
-from extractors.errors import VideoUnreadable
+from extractors.errors import BadAddress
 from extractors.wire import Medium
 
 
@@ -45,7 +45,7 @@ def test_a_login_is_put_into_the_address() -> None:
     whole = found.with_login("user:a/b:c@d\n")
     assert whole.place == "rtsp://user:a%2Fb%3Ac%40d@camera/1"
     assert whole.shown == found.shown
-    with pytest.raises(VideoUnreadable, match="a login is one line `user:password`"):
+    with pytest.raises(BadAddress, match="a login is one line `user:password`"):
         found.with_login("user")
 
 
@@ -53,6 +53,6 @@ def test_a_login_is_put_into_the_address() -> None:
     "text", ["ftp://host/x", "file:///etc/passwd", "rtsp://", "concat://a|b", "rtsp://host:99999/"]
 )
 def test_an_address_that_is_not_read_is_refused_without_repeating_it(text: str) -> None:
-    with pytest.raises(VideoUnreadable, match=r"an address must be rtsp://host/\.\.\., .*Next: ") as caught:
+    with pytest.raises(BadAddress, match=r"an address must be rtsp://host/\.\.\., .*Next: ") as caught:
         parsed(text)
     assert "passwd" not in str(caught.value)

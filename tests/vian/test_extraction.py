@@ -368,8 +368,8 @@ def test_a_video_that_fails_halfway_keeps_what_was_said(log: Log, clip: Path, mo
 def _changed(frames: Callable[..., Iterator[Frame | Gap]], is_there: Callable[[Frame], bool], what: Any) -> Any:
     """The function `frames`, with a gap or an error before a frame."""
 
-    def changed(path: Path) -> Iterator[Frame | Gap]:
-        for item in frames(path):
+    def changed(path: Path, **asked: Any) -> Iterator[Frame | Gap]:
+        for item in frames(path, **asked):
             if isinstance(item, Frame) and is_there(item):
                 if isinstance(what, Exception):
                     raise what

@@ -1,6 +1,6 @@
 """Row tables of live streams: when they were interrupted, and came back.
 
-Revision: 0018
+Revision: 0020
 """
 
 from typing import Any
@@ -8,7 +8,7 @@ from typing import Any
 import sqlalchemy as sa
 from alembic import op
 
-revision = "0018"
+revision = "0020"
 down_revision = "0017"
 branch_labels = None
 depends_on = None
