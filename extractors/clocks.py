@@ -77,9 +77,16 @@ class WallClock:
     it was taken: such frames, and frames without a time, have none here.
     """
 
-    def __init__(self, container: InputContainer, now_us: Callable[[], int]) -> None:
-        self._container = container
+    def __init__(self, own_zero_us: Callable[[], int | None], now_us: Callable[[], int]) -> None:
+        """Begin with a connection.
+
+        Args:
+            own_zero_us: The wall-clock time of presentation time 0, as the stream says; None while it has not.
+            now_us: This machine's wall clock.
+        """
+        self._own_zero_us = own_zero_us
         self._now_us = now_us
+        self._ahead_us = 0
         self._zero_us: int | None = None
         self._before: tuple[int, int] | None = None
         self._began_us = now_us()
@@ -96,9 +103,11 @@ class WallClock:
                 return None, ""
             self._zero_us, odd = self._first_zero_us(now_us, own_us)
         time_us = self._zero_us + own_us
-        if abs(time_us - now_us) > TRUST_US:
-            odd = f"the stream's clock jumped or ran away by {(time_us - now_us) / 1e6:.0f} s; it is set anew"
-            self._zero_us, time_us = now_us - own_us, now_us
+        away_us = time_us - now_us - self._ahead_us
+        if abs(away_us) > TRUST_US:
+            odd = f"the stream's clock and this machine's jumped or ran apart by {away_us / 1e6:+.0f} s; times go on"
+            time_us = max(now_us, self._last_us + 1)  # a machine's clock that was set back must not stop the time
+            self._zero_us, self._ahead_us = time_us - own_us, time_us - now_us
         return self._later(time_us), odd
 
     def _has_settled(self, now_us: int, own_us: int) -> bool:
@@ -109,7 +118,7 @@ class WallClock:
         return before is not None and now_us - before[0] >= PACE * (own_us - before[1]) > 0
 
     def _first_zero_us(self, now_us: int, own_us: int) -> tuple[int, str]:
-        zero_us = self._container.start_time_realtime
+        zero_us = self._own_zero_us()
         if zero_us is None or zero_us <= 0:
             return now_us - own_us, ""
         late_us = now_us - (zero_us + own_us)

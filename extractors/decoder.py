@@ -38,9 +38,6 @@ CONTAINERS = (
 """Formats that are opened. Without a list FFmpeg takes any text file for a terminal recording, and
 plays lists that name other files and addresses."""
 
-PICTURES = "bmp_pipe,jpeg_pipe,pbm_pipe,pgm_pipe,ppm_pipe,png_pipe,tiff_pipe,webp_pipe"
-"""Formats of the pictures in a folder."""
-
 LIVE = f"{CONTAINERS},mpjpeg,rtp,rtsp,sdp"
 """Formats of live streams. Play lists are none of them: they name other addresses."""
 
@@ -98,7 +95,8 @@ def _send_stream(request: Request, outlet: Outlet) -> None:
     with container:
         stream = container.streams.video[0]
         sender = _Sender(outlet, request, _about(container), stream.frames or None)
-        clock = WallClock(container, _now_us) if request.is_live else MediaClock(container)
+        own_zero_us = lambda: container.start_time_realtime  # noqa: E731
+        clock = WallClock(own_zero_us, _now_us) if request.is_live else MediaClock(container)
         broken = None
         try:
             for frame in _decoded(container, sender, is_live=request.is_live):
@@ -315,8 +313,10 @@ def _read_picture(path: Path, request: Request) -> av.VideoFrame:
         FFmpegError: It does not decode.
         StopIteration: It holds none.
     """
-    options = {"protocol_whitelist": "file", "format_whitelist": PICTURES}
-    with av.open(f"file:{path}", container_options=options, options={"max_pixels": str(request.pixels_max)}) as file:
+    form = folder.ENDINGS[path.suffix.lower()]
+    options = {"protocol_whitelist": "file"}
+    with av.open(f"file:{path}", format=form, container_options=options) as file:
+        file.streams.video[0].codec_context.options = {"max_pixels": str(request.pixels_max)}
         return next(frame for frame in file.decode(video=0) if not frame.is_corrupt)
 
 

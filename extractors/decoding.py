@@ -19,7 +19,7 @@ from typing import IO, Any, Self
 
 import numpy as np
 
-from extractors.errors import DecoderDied, DecoderStalled, VideoUnreadable
+from extractors.errors import DecoderDied, DecoderStalled, Stopped, VideoUnreadable
 from extractors.media import Frame, Gap, GapReason
 from extractors.wire import HEADER, Header, Kind, Medium, Request, unpack
 
@@ -37,10 +37,6 @@ _WANTED = {
     "in a player; is the camera on, the path right, the login needed?",
     Medium.CAMERA: "wanted a camera of this machine. Next: ls -l /dev/video*; is it plugged in, may this user read it?",
 }
-
-
-class Stopped(Exception):
-    """The caller wants no more; raised while waiting."""
 
 
 class Decoding:
@@ -180,7 +176,7 @@ class Decoding:
         waits = max(1, round(self.stall_s / LOOK_S))
         for _ in range(waits):
             if self._is_stopped():
-                raise Stopped
+                raise Stopped(f"{self._name}: stopped before its first picture came")
             if self._wakeup.poll(self.stall_s / waits * 1000):
                 return
         next_step = (

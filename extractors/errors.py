@@ -2,6 +2,7 @@
 
 ExtractorError
 ├── BadAddress              an address that is none, or not of a protocol that is read, or a login that is none
+├── Stopped                 the caller wants no more of a live stream, before its first picture came
 ├── MaskUnreadable          an area to ignore that cannot be read, or does not fit the video
 └── VideoError              a video that cannot be read, wholly or from some frame on
     ├── VideoUnreadable     not there, not a file, no permission, empty, or not a video
@@ -18,6 +19,10 @@ class ExtractorError(Exception):
 
 class BadAddress(ExtractorError):
     """An address that is none, or not of a protocol that is read, or a login that is none."""
+
+
+class Stopped(ExtractorError):
+    """The caller wants no more of a live stream."""
 
 
 class MaskUnreadable(ExtractorError):

@@ -16,8 +16,20 @@ from PIL import Image, UnidentifiedImageError
 
 from extractors.errors import VideoUnreadable
 
-ENDINGS = (".bmp", ".jpeg", ".jpg", ".pbm", ".pgm", ".png", ".ppm", ".tif", ".tiff", ".webp")
-"""Names of pictures end so, in small or capital letters."""
+ENDINGS = {
+    ".bmp": "bmp_pipe",
+    ".jpeg": "jpeg_pipe",
+    ".jpg": "jpeg_pipe",
+    ".pbm": "pbm_pipe",
+    ".pgm": "pgm_pipe",
+    ".png": "png_pipe",
+    ".ppm": "ppm_pipe",
+    ".tif": "tiff_pipe",
+    ".tiff": "tiff_pipe",
+    ".webp": "webp_pipe",
+}
+"""Names of pictures end so, in small or capital letters; and FFmpeg's name of the format. It is told, since FFmpeg
+alone takes some for a pattern of names."""
 
 _CALENDAR = re.compile(
     r"(?<!\d)((?:19|20|21)\d\d)[-_.]?(\d\d)[-_.]?(\d\d)[T_ -]?"

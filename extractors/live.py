@@ -16,8 +16,8 @@ from types import TracebackType
 from typing import Any, Self
 
 from extractors.addresses import Address
-from extractors.decoding import LOOK_S, Decoding, Stopped
-from extractors.errors import StreamLost, VideoError, VideoUnreadable
+from extractors.decoding import LOOK_S, Decoding
+from extractors.errors import Stopped, StreamLost, VideoError, VideoUnreadable
 from extractors.media import Frame, Gap, GapReason, Shape, VideoInfo
 from extractors.wire import Request
 
@@ -67,6 +67,8 @@ class Live:
         self._next_index = 0
         self._last_us = -1
         self._why = ""
+        self.info: VideoInfo
+        """what the stream says of itself; its size is that of the newest pictures"""
 
     def __enter__(self) -> Self:
         """Connect.
@@ -75,8 +77,8 @@ class Live:
             VideoUnreadable: There is no live stream at the address, or no answer.
             Stopped: The caller wants no more.
         """
-        content = self._connected()
-        self.info, self._zero_us = _info(content), self._first_us
+        self._connect()
+        self._zero_us = self._first_us
         return self
 
     def __exit__(
@@ -99,13 +101,13 @@ class Live:
             while True:
                 yield from self._of_this_connection()
                 yield self._gap(GapReason.INTERRUPTED, f"the live stream is interrupted: {self._why}")
-                size = self._size
+                before = self.info
                 tries, gone_s = self._reconnect()
                 yield self._gap(GapReason.RESUMED, f"the live stream is back after {gone_s:.1f} s, at attempt {tries}")
-                if self._size != size:
-                    (width, height), (old_width, old_height) = self._size, size
-                    changed = f"the frame size changed from {old_width}x{old_height} to {width}x{height} px"
-                    yield self._gap(GapReason.SIZE_CHANGED, changed)
+                now = self.info
+                if (now.width, now.height) != (before.width, before.height):
+                    sizes = f"from {before.width}x{before.height} to {now.width}x{now.height} px"
+                    yield self._gap(GapReason.SIZE_CHANGED, f"the frame size changed {sizes}")
         except Stopped:
             return
 
@@ -118,6 +120,7 @@ class Live:
                 if isinstance(item, Gap):
                     yield replace(item, before_index=first_index + item.before_index, time_us=max(0, self._last_us))
                     continue
+                self._heed_size(item)
                 self._next_index = first_index + item.index + 1
                 self._last_us = max(item.time_us - self._zero_us, self._last_us + 1)
                 yield replace(item, index=first_index + item.index, time_us=self._last_us)
@@ -126,6 +129,11 @@ class Live:
             self._why = str(error)
         if time.monotonic() - began_s > self._limits.stall_s:
             self._pause_s = self._limits.retry_s_min  # it held for a while: not one failure after another
+
+    def _heed_size(self, frame: Frame) -> None:
+        height, width = (round(side * frame.scale) for side in frame.image.shape[:2])
+        if max(abs(width - self.info.width), abs(height - self.info.height)) > frame.scale:  # beyond rounding
+            self.info = replace(self.info, width=width, height=height)
 
     def _reconnect(self) -> tuple[int, float]:
         """Connect again; the attempts that it took, and the time, s.
@@ -139,7 +147,7 @@ class Live:
             self._pause()
             tries += 1
             try:
-                self._connected()
+                self._connect()
                 return tries, time.monotonic() - began_s
             except VideoError as error:
                 if time.monotonic() - began_s > self._limits.give_up_s:
@@ -148,8 +156,8 @@ class Live:
                         f"{tries} attempts; the last one: {error}"
                     ) from error
 
-    def _connected(self) -> dict[str, Any]:
-        """What the stream says of itself, once its first picture is there."""
+    def _connect(self) -> None:
+        """Open the stream, and wait for its first picture."""
         self._connection.close()
         limits, shape = self._limits, self._shape
         request = Request(
@@ -177,8 +185,7 @@ class Live:
             raise
         decoding.stall_s = limits.stall_s
         self._first_us = int(content["first_us"])
-        self._size = (int(content["width"]), int(content["height"]))
-        return content
+        self.info = _info(content)
 
     def _check_live(self, content: dict[str, Any]) -> None:
         name = self._address.shown
@@ -195,7 +202,7 @@ class Live:
         until_s = time.monotonic() + self._pause_s
         while (left_s := until_s - time.monotonic()) > 0:
             if self._is_stopped():
-                raise Stopped
+                raise Stopped(f"{self._address.shown}: stopped while it was away")
             self._sleep(min(left_s, LOOK_S))
         self._pause_s = min(2 * self._pause_s, self._limits.retry_s_max)
 

@@ -41,11 +41,11 @@ def probe(path: Path, limits: DecodeLimits | None = None, shape: Shape | None = 
         VideoUnreadable: It is not a video that can be opened.
         DecoderDied: It crashed the decoder.
     """
-    digest = _digest(path)
+    sha256 = digest(path)
     with _decoding(path, limits, shape) as decoding:
         content = decoding.info()
     del content["first_us"]  # 0: media time begins with the first frame
-    return VideoInfo(sha256=digest, **(content | {"creation_time": utc(content["creation_time"])}))
+    return VideoInfo(sha256=sha256, **(content | {"creation_time": utc(content["creation_time"])}))
 
 
 def frames(path: Path, limits: DecodeLimits | None = None, shape: Shape | None = None) -> Iterator[Frame | Gap]:
@@ -104,7 +104,12 @@ def _check(path: Path) -> None:
         raise VideoUnreadable(f"{path}: cannot be read: {error.strerror}") from error
 
 
-def _digest(path: Path) -> str:
+def digest(path: Path) -> str:
+    """SHA-256 of the file's bytes, or of the names and bytes of the folder's pictures, hexadecimal.
+
+    Raises:
+        VideoUnreadable: It cannot be read.
+    """
     _check(path)
     if path.is_dir():
         return folder.digest(folder.pictures_in(path))

@@ -23,7 +23,7 @@ from extractors.motion.config import MotionConfig
 
 Field = npt.NDArray[np.float32]
 
-LOOK_S = 0.2
+LOOK_S = 0.5
 """Time between two looks, s."""
 WIDTH = 160
 """Pictures are compared at this width, px: shaking by a hundredth of the picture stays within an edge's blur."""
@@ -188,7 +188,7 @@ def _shift(memory: _Sight, now: _Sight) -> tuple[float, float] | None:
     back = np.array([[1, 0, -dx], [0, 1, -dy]], np.float32)
     size = (now.grey.shape[1], now.grey.shape[0])
     gradients = np.asarray(cv2.warpAffine(now.gradients, back, size), np.float32)
-    covered = cv2.warpAffine(np.ones_like(now.grey), back, size)
+    covered = np.asarray(cv2.warpAffine(np.ones_like(now.grey), back, size), np.float32)
     alike, has_edges = _compared(memory.gradients, gradients)
     judged = has_edges & (_blocks(covered) > 0.9)
     is_shift = int(judged.sum()) >= BLOCKS_MIN and _share_different(alike, judged) < 0.5

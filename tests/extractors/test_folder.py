@@ -93,6 +93,14 @@ def test_pictures_of_another_size_are_recorded(tmp_path: Path) -> None:
     assert (gap.reason, gap.before_index) == (GapReason.SIZE_CHANGED, 2)
 
 
+@pytest.mark.parametrize("ending", ["bmp", "jpg", "JPEG", "ppm", "tif", "webp"])
+def test_every_kind_of_picture_is_read(tmp_path: Path, ending: str) -> None:
+    cv2.imwrite(str(tmp_path / f"frame-000007.color.{ending}"), picture(64, 48, 3))
+    (frame,), gaps = read(tmp_path, fps=1)
+    assert not gaps
+    assert np.abs(frame.image.astype(int) - picture(64, 48, 3)).mean() < 6  # some kinds lose a little
+
+
 def test_pictures_of_16_bits_are_shown(tmp_path: Path) -> None:
     cv2.imwrite(str(tmp_path / "1.png"), np.full((48, 64), 700, np.uint16))
     found, (gap,) = read(tmp_path, fps=1)

@@ -36,7 +36,7 @@ def view(x: float, y: float = HEIGHT, *, seed: int = 0, noise: float = 2.0) -> I
     shift = np.array([[1, 0, -x], [0, 1, -y]], np.float32)
     seen = cv2.warpAffine(WORLD, shift, (WIDTH, HEIGHT)).astype(np.float32)
     grain = np.random.default_rng(seed).normal(0, noise, seen.shape)
-    return np.clip(seen + grain, 0, 255).astype(np.uint8)
+    return np.asarray(np.clip(seen + grain, 0, 255), np.uint8)
 
 
 def changes(pictures: Iterable[Image]) -> tuple[list[tuple[float, Change]], list[float]]:
@@ -64,7 +64,7 @@ def test_shaking_in_the_wind_is_no_other_view() -> None:
 def test_the_dark_and_the_light_are_no_other_view() -> None:
     def lit(at: int) -> Image:
         factor = 1.0 if at < 20 else 0.35 if at < 40 else 1.2
-        return np.clip(view(300, seed=at).astype(np.float32) * factor, 0, 255).astype(np.uint8)
+        return np.asarray(np.clip(view(300, seed=at).astype(np.float32) * factor, 0, 255), np.uint8)
 
     assert changes(lit(at) for at in range(60)) == ([], [])
 
