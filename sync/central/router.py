@@ -240,11 +240,12 @@ class Door:
             order, follows = (_name(request, header) for header in (ORDER_HEADER, FOLLOWS_HEADER))
             one = await self.workers.do(lambda: asked(request))
             station = one.caller.station
-            with self._places.taken(station), self.turns.under_way(station, order):
+            with self._places.taken(station):
                 await self.turns.wait_until_come(station, follows)
-                async with self._room.taken(station, size):
-                    body = await read_signed(request, limits, one.digest, waits.append)
-                    yield Call(one.caller, body, one, began + sum(waits), order, follows)
+                with self.turns.under_way(station, order):  # only now: what follows it must not go ahead of it
+                    async with self._room.taken(station, size):
+                        body = await read_signed(request, limits, one.digest, waits.append)
+                        yield Call(one.caller, body, one, began + sum(waits), order, follows)
 
         return call
 
@@ -343,7 +344,7 @@ def _version_2(
             contacts.heard(caller.station, now())
             return answer
 
-        with while_storing():
+        with while_storing():  # also while it waits: what it waits for is being stored
             records = await door.workers.do(checked, size)
             await turns.wait_until_through(caller.station, call.follows)
             answer = await door.workers.do(stored, size)
