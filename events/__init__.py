@@ -26,7 +26,7 @@ from events.errors import (
     UnknownType,
     UpcastFailed,
 )
-from events.media import VideoAdded
+from events.media import StreamInterrupted, StreamResumed, VideoAdded
 from events.model import (
     AtDoor,
     EventType,
@@ -146,7 +146,9 @@ __all__ = [
     "Station",
     "StationEnrolled",
     "StationRevoked",
+    "StreamInterrupted",
     "StreamName",
+    "StreamResumed",
     "SyncPlanned",
     "Tally",
     "TrackEnded",

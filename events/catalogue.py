@@ -15,7 +15,7 @@ import pyarrow as pa
 from events.camera import CameraCalibrated, HorizonEstimate, HorizonVote, SceneChanged, ZoneDefined, ZoneRemoved
 from events.columns import EventBatch, schema_of
 from events.errors import EventError, UnknownType, UpcastFailed
-from events.media import VideoAdded
+from events.media import StreamInterrupted, StreamResumed, VideoAdded
 from events.model import EventType
 from events.motion import ActivityInterval, Appearance, TrackEnded, TrackPoint
 from events.plates import PlateRead
@@ -36,6 +36,8 @@ from events.work import ProcessFailed, ProcessFinished, ProcessProgressed, Proce
 
 SHIPPED: tuple[type[EventType], ...] = (
     VideoAdded,
+    StreamInterrupted,
+    StreamResumed,
     ProcessStarted,
     ProcessProgressed,
     ProcessFinished,

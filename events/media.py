@@ -26,3 +26,21 @@ class VideoAdded(EventType, type="video_added", version=1, subject="video"):
     """codec of the video stream, as the decoder names it"""
     started_at: UtcTime
     """wall-clock time of the first frame (UTC)"""
+
+
+class StreamInterrupted(EventType, type="stream_interrupted", version=1, subject="video"):
+    """A live stream gives no more pictures; its time is that of the last one."""
+
+    video: str
+    """name of the footage, as `video_added` names it"""
+    why: str
+    """what happened, as told to people: it ended, fell silent, or the extractor was killed"""
+
+
+class StreamResumed(EventType, type="stream_resumed", version=1, subject="video"):
+    """A live stream gives pictures again; its time is that of the first one."""
+
+    video: str
+    """name of the footage, as `video_added` names it"""
+    interrupted_at: UtcTime
+    """time of the last picture before (UTC)"""

@@ -2,11 +2,15 @@
 
 ExtractorError
 ├── DetectorFailed          a detector's model cannot be opened, or stopped on a picture
+├── BadAddress              an address that is none, or not of a protocol that is read, or a login that is none
+├── Stopped                 the caller wants no more of a live stream, before its first picture came
+├── MaskUnreadable          an area to ignore that cannot be read, or does not fit the video
 └── VideoError              a video that cannot be read, wholly or from some frame on
     ├── VideoUnreadable     not there, not a file, no permission, empty, or not a video
     ├── VideoHasNoFrames    a video whose frames cannot be decoded, not one of them
     ├── DecoderDied         the decoding process crashed or was killed; names the last good frame
-    └── DecoderStalled      the decoding process said nothing for too long; it was ended
+    ├── DecoderStalled      the decoding process said nothing for too long; it was ended
+    └── StreamLost          a live stream that stayed away for longer than it is waited for
 """
 
 
@@ -16,6 +20,18 @@ class ExtractorError(Exception):
 
 class DetectorFailed(ExtractorError):
     """A detector's model cannot be opened, or stopped on a picture."""
+
+
+class BadAddress(ExtractorError):
+    """An address that is none, or not of a protocol that is read, or a login that is none."""
+
+
+class Stopped(ExtractorError):
+    """The caller wants no more of a live stream."""
+
+
+class MaskUnreadable(ExtractorError):
+    """An area to ignore that cannot be read, or does not fit the video."""
 
 
 class VideoError(ExtractorError):
@@ -36,3 +52,7 @@ class DecoderDied(VideoError):
 
 class DecoderStalled(VideoError):
     """The decoding process said nothing for longer than the limit, and was ended."""
+
+
+class StreamLost(VideoError):
+    """A live stream was interrupted for longer than the limit."""

@@ -16,13 +16,25 @@ Image = npt.NDArray[np.uint8]
 
 
 @dataclass(frozen=True, slots=True)
+class Shape:
+    """Which of a video's pictures are wanted, and how large at most."""
+
+    width_max: int | None = None
+    """wider pictures are made smaller, px; the ratio of the sides stays"""
+    height_max: int | None = None
+    """higher ones likewise, px"""
+    fps: float | None = None
+    """most pictures per second of media time, 1/s; of a folder of pictures: the rate at which they were taken"""
+
+
+@dataclass(frozen=True, slots=True)
 class VideoInfo:
-    """What a video file says of itself, before a frame of it is decoded."""
+    """What a video says of itself, and its first frame shows."""
 
     width: int
-    """width of a frame, px"""
+    """width of a frame as it is shown (turned upright), before it is made smaller, px"""
     height: int
-    """height of a frame, px"""
+    """height of it, px"""
     fps: float | None
     """nominal frames per second, 1/s"""
     frames_expected: int | None
@@ -34,7 +46,7 @@ class VideoInfo:
     creation_time: datetime | None
     """when it was recorded, as the container says (UTC); often the time of the export"""
     sha256: str
-    """SHA-256 of the file's bytes, hexadecimal"""
+    """SHA-256 of the file's bytes, hexadecimal; of names and bytes where it is a folder; empty where it is live"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,6 +58,8 @@ class Frame:
     time_us: int
     """presentation time since the first frame, µs; strictly increasing"""
     image: Image
+    scale: float = 1.0
+    """pixels of the video for one of the image: more than 1 where it was made smaller"""
 
     @property
     def time_s(self) -> float:
@@ -66,6 +80,18 @@ class GapReason(StrEnum):
     """the end came a few frames before the container's count"""
     BROKEN_OFF = "broken_off"
     """the file ends in the middle"""
+    CONVERTED = "converted"
+    """nothing is missing: from here on pictures are converted in a way that people should know of"""
+    DROPPED = "dropped"
+    """pictures of a live stream were left out, because they came faster than they were worked on"""
+    INTERRUPTED = "interrupted"
+    """a live stream gives no more pictures; it is tried again"""
+    RESUMED = "resumed"
+    """a live stream gives pictures again"""
+    CAMERA_MOVED = "camera_moved"
+    """the picture shows another view; nothing is said of it until the camera rests"""
+    CAMERA_RESTS = "camera_rests"
+    """the camera rests again; the view is learnt anew"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,6 +103,8 @@ class Gap:
     reason: GapReason
     detail: str
     """what happened, for people"""
+    time_us: int | None = None
+    """when it happened, on the clock of the frames, µs; where frames do not tell it (live streams)"""
 
     def __str__(self) -> str:
         return f"before frame {self.before_index}: {self.detail}"

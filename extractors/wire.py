@@ -1,18 +1,66 @@
-"""The messages that the decoding process sends to its parent, as bytes on a pipe.
+"""What parent and decoding process tell each other, as bytes on pipes: one request, then messages.
 
-A message is a fixed header and a body: raw BGR pixels for a frame, JSON for the rest. Only numbers,
-text and pixels cross; nothing is unpickled. This module decides layout and reads or writes whole
-messages; it starts no process and knows no decoder.
+The request is a line of JSON on the decoder's stdin, because an address may hold a password, and a
+command line is for everybody to read. A message is a fixed header and a body: raw BGR pixels for a
+frame, JSON for the rest. Only numbers, text and pixels cross; nothing is unpickled.
+
+This module decides layout and reads or writes whole messages; it starts no process and knows no decoder.
 """
 
 import json
 import struct
-from dataclasses import dataclass
-from enum import IntEnum
-from typing import Any, Protocol
+from dataclasses import asdict, dataclass
+from enum import IntEnum, StrEnum
+from typing import Any, Protocol, Self
 
-HEADER = struct.Struct("<2sBxIqIIQ")
+HEADER = struct.Struct("<2sBxIqIIdQ")
 MAGIC = b"VF"
+
+
+class Medium(StrEnum):
+    """What a source of pictures is."""
+
+    FILE = "file"
+    """a video file"""
+    FOLDER = "folder"
+    """a folder of pictures"""
+    ADDRESS = "address"
+    """a live stream at a URL"""
+    CAMERA = "camera"
+    """a camera of this machine"""
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """What is to be decoded, and how much of it."""
+
+    medium: Medium
+    place: str
+    """path, URL or device"""
+    pixels_max: int
+    """largest width times height that is decoded, px"""
+    threads: int = 1
+    """decoding threads; with more than one, what a corrupt video decodes to may vary"""
+    width_max: int | None = None
+    height_max: int | None = None
+    fps: float | None = None
+    queue_frames: int = 1
+    """pictures of a live stream that wait for the parent at most"""
+
+    @property
+    def is_live(self) -> bool:
+        """Whether pictures come when they are taken, and do not wait."""
+        return self.medium in (Medium.ADDRESS, Medium.CAMERA)
+
+    def to_line(self) -> bytes:
+        """The request as a line of JSON."""
+        return json.dumps(asdict(self)).encode() + b"\n"
+
+    @classmethod
+    def from_line(cls, line: bytes) -> Self:
+        """The request that the line says."""
+        content = json.loads(line)
+        return cls(**content | {"medium": Medium(content["medium"])})
 
 
 class Kind(IntEnum):
@@ -40,6 +88,8 @@ class Header:
     time_us: int
     width: int
     height: int
+    scale: float
+    """pixels of the video for one of the frame's"""
     body_bytes: int
 
 
@@ -53,7 +103,8 @@ class Writable(Protocol):
 
 def pack(header: Header) -> bytes:
     """The header's bytes."""
-    return HEADER.pack(MAGIC, header.kind, header.index, header.time_us, header.width, header.height, header.body_bytes)
+    numbers = (header.index, header.time_us, header.width, header.height, header.scale, header.body_bytes)
+    return HEADER.pack(MAGIC, header.kind, *numbers)
 
 
 def unpack(data: bytes) -> Header:
@@ -62,14 +113,14 @@ def unpack(data: bytes) -> Header:
     Raises:
         ValueError: They hold none.
     """
-    magic, kind, index, time_us, width, height, body_bytes = HEADER.unpack(data)
+    magic, kind, *numbers = HEADER.unpack(data)
     if magic != MAGIC:
         raise ValueError(f"a message begins with {MAGIC!r}, got {magic!r}")
-    return Header(Kind(kind), index, time_us, width, height, body_bytes)
+    return Header(Kind(kind), *numbers)
 
 
 def write_json(out: Writable, kind: Kind, index: int = 0, **content: Any) -> None:
     """Send a message that holds text and numbers."""
     body = json.dumps(content).encode()
-    out.write(pack(Header(kind, index, 0, 0, 0, len(body))))
+    out.write(pack(Header(kind, index, 0, 0, 0, 1.0, len(body))))
     out.write(body)

@@ -42,6 +42,7 @@ _PACKAGES = {
 _USAGE = {
     "events.errors": ("InvalidName",),
     "store.errors": ("BadRequest",),
+    "extractors.errors": ("BadAddress", "MaskUnreadable"),
     "patterns.errors": ("PatternError",),
     "sync.errors": ("PlanError", "GrantError"),
 }

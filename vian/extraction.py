@@ -1,16 +1,20 @@
-"""One extraction: a video in, its process's events in the log.
+"""One extraction: a video or a live stream in, its process's events in the log.
 
 Contract: the process is named by what goes in (source, video, extractor, version, configuration),
 so the same command run again after a kill goes on with the same process and ends with the same
 events; run again after its end it does nothing. What an extractor said before an error stays, and
 `process_failed` says what stopped it.
+
+A live stream cannot be read again: after a kill the next run is a new process on new footage. It goes
+on behind the last stored sequence, and says what lies between as an interruption.
 """
 
 import hashlib
 import json
 import os
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import AbstractContextManager
+from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any, TypeVar
@@ -27,7 +31,10 @@ from events import (
     ProcessProgressed,
     ProcessStarted,
     Producer,
+    SceneChanged,
+    StreamInterrupted,
     StreamName,
+    StreamResumed,
     TrackEnded,
     TrackPoint,
     VideoAdded,
@@ -39,9 +46,11 @@ from events import (
     station_name,
 )
 from extractors import motion, video
+from extractors.addresses import Address
 from extractors.errors import ExtractorError
 from extractors.horizon import FrameSize, Horizon, HorizonConfig
-from extractors.media import GapReason, VideoInfo
+from extractors.live import Live, LiveLimits
+from extractors.media import Frame, Gap, GapReason, Shape, VideoInfo
 from store import Appender, Log, SequenceConflict
 from vian.errors import WorldFailed, WrongUsage
 from vian.exclusive import exclusively
@@ -55,6 +64,7 @@ _SAID_BY_A_PROCESS = (
     ActivityInterval,
     HorizonVote,
     HorizonEstimate,
+    SceneChanged,
     ProcessProgressed,
     ProcessFinished,
     ProcessFailed,
@@ -102,14 +112,19 @@ class Job:
     log: Log
     station: str
     source: str
-    path: Path
+    path: Path | Address
+    """a video, a folder of pictures, or a live stream"""
     started_at: datetime | None = None
-    """wall-clock time of the first frame; from the file's metadata or its modification time by default"""
+    """wall-clock time of the first frame; from the file's metadata or its modification time by default, of a
+    live stream from itself"""
     config: motion.MotionConfig = field(default_factory=motion.MotionConfig)
     detector: motion.Detector | None = None
     """finds the objects, where `config.detector` is a model's hash"""
     horizon: HorizonConfig | None = field(default_factory=HorizonConfig.of_blobs)
     """how the horizon is found meanwhile; None: it is not. Tracks are the same either way: it names no process"""
+    shape: Shape = field(default_factory=Shape)
+    ignored: motion.IgnoredArea | None = None
+    live: LiveLimits = field(default_factory=LiveLimits)
     stamp: Stamp = wall_clock
     run: int = 1
     """1 for the first time, more for a repetition of the same extraction as a new process"""
@@ -118,6 +133,14 @@ class Job:
     """told the frames done and expected"""
     on_note: Callable[[str], None] | None = None
     """told what people should know"""
+    is_stopped: Callable[[], bool] = lambda: False
+    """asked while a live stream is read whether to come to an end"""
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """What was asked for of the pictures besides the configuration; part of what names the process."""
+        asked = asdict(self.shape) | {"ignored": self.ignored.sha256 if self.ignored else None}
+        return {name: value for name, value in asked.items() if value is not None}
 
     def note(self, text: str) -> None:
         """Tell people, if anybody listens."""
@@ -141,13 +164,32 @@ def extract_motion(job: Job) -> Extraction:
         LogUnavailable: The database stayed away.
     """
     station_name(job.station), source_name(job.source)
-    info = video.probe(job.path)
-    with exclusively(job.log, f"source {job.source} of station {job.station}"):
-        return _extract(job, info)
+    if isinstance(job.path, Address):
+        with Live(job.path, job.live, job.shape, is_stopped=job.is_stopped) as live, _alone(job):
+            return _extract_live(job, live)
+    info = video.probe(job.path, shape=job.shape)
+    with _alone(job):
+        return _extract(job, job.path, info)
 
 
-def _extract(job: Job, info: VideoInfo) -> Extraction:
-    added = _added(job, info)
+def _alone(job: Job) -> AbstractContextManager[None]:
+    return exclusively(job.log, f"source {job.source} of station {job.station}")
+
+
+def _extract_live(job: Job, live: Live) -> Extraction:
+    _check_fits(job, live.info)
+    started_at = _checked_start(job.started_at or live.started_at)
+    added = _live_added(job, live.info, started_at)
+    process = process_name(job, added.video)
+    _give_up_unfinished(job, added, process)
+    _append_first(job, added)
+    position = _start(job, added, process)[1]
+    return _Run(job, live.info, added, process, position, live).whole(live.frames())
+
+
+def _extract(job: Job, path: Path, info: VideoInfo) -> Extraction:
+    _check_fits(job, info)
+    added = _added(job, path, info)
     process = process_name(job, added.video)
     begun = _find(job, ProcessStarted, process)
     if begun is None:
@@ -161,24 +203,37 @@ def _extract(job: Job, info: VideoInfo) -> Extraction:
             f"process {process} on {job.path} failed before, after {failed[0].frames} frames: {failed[0].error}. "
             f"What it said until then is in the log. Next: mend the video, or repeat it with --again {job.run + 1}"
         )
-    return _Run(job, info, added, process, started_position=begun[1]).whole()
+    return _Run(job, info, added, process, begun[1]).whole(video.frames(path, shape=job.shape))
 
 
 def process_name(job: Job, video_hash: str) -> str:
     """Name of the process: 16 hexadecimal digits of a hash of what goes into it."""
-    said = [job.source, video_hash, motion.NAME, motion.VERSION, job.config.config_hash.hex(), job.run]
+    said: list[Any] = [job.source, video_hash, motion.NAME, motion.VERSION, job.config.config_hash.hex(), job.run]
+    if job.options:
+        said.append(job.options)
     return hashlib.sha256(json.dumps(said).encode()).hexdigest()[:16]
 
 
 class _Run:
     """One process at work, from its beginning or behind what an earlier run stored."""
 
-    def __init__(self, job: Job, info: VideoInfo, added: VideoAdded, process: str, started_position: int) -> None:
+    def __init__(
+        self,
+        job: Job,
+        info: VideoInfo,
+        added: VideoAdded,
+        process: str,
+        started_position: int,
+        live: Live | None = None,
+    ) -> None:
         self._job = job
         self._info = info
         self._added = added
         self._process = process
         self._at_start = started_position
+        self._live = live
+        self._footage = added
+        self._interrupted_at: datetime | None = None
         self._appender = Appender(
             job.log, _producer(job), wait_s=job.database_wait_s, on_wait=lambda error: job.note(f"waiting: {error}")
         )
@@ -189,15 +244,16 @@ class _Run:
         self._progress_due_s = PROGRESS_EVERY_S
         self._horizon = Horizon(FrameSize(info.width, info.height), job.horizon) if job.horizon else None
 
-    def whole(self) -> Extraction:
-        """Extract to the end of the video."""
+    def whole(self, frames: Iterable[Frame | Gap]) -> Extraction:
+        """Extract to the end of the frames."""
         first_track_id = 1 + self._resume_all()
         steps = motion.extract(
-            video.frames(self._job.path),
+            frames,
             self._job.config,
             start_time=self._added.started_at,
             first_track_id=first_track_id,
             detector=self._job.detector,
+            ignored=self._job.ignored,
         )
         try:
             for step in steps:
@@ -222,10 +278,25 @@ class _Run:
         found = [*step.batches, *self._of_horizon(step)]
         self._events += sum(len(batch) for batch in found)
         self._gaps += len(step.gaps)
-        batches = [*found, *self._remarks(step)]
+        batches = [*found, *self._remarks(step), *self._of_the_stream(step.gaps)]
         self._append(batches)
         if self._job.on_progress is not None:
-            self._job.on_progress(self._frames, self._info.frames_expected)
+            self._job.on_progress(self._frames, None if self._job.shape.fps else self._info.frames_expected)
+
+    def _of_the_stream(self, gaps: Iterable[Gap]) -> Iterator[EventBatch]:
+        """What is to be said of the live stream itself: that it was interrupted, came back, or has another size."""
+        for gap in gaps:
+            if self._live is None or gap.time_us is None:
+                continue
+            time, name = self._added.started_at + timedelta(microseconds=gap.time_us), self._footage.video
+            if gap.reason is GapReason.INTERRUPTED:
+                self._interrupted_at = time
+                yield batch_of([StreamInterrupted(time=time, video=name, why=gap.detail)])
+            elif gap.reason is GapReason.RESUMED and self._interrupted_at is not None:
+                yield batch_of([StreamResumed(time=time, video=name, interrupted_at=self._interrupted_at)])
+            elif gap.reason is GapReason.SIZE_CHANGED:
+                self._footage = _live_added(self._job, self._live.info, time)
+                yield batch_of([self._footage])
 
     def _of_horizon(self, step: motion.Extraction) -> tuple[EventBatch, ...]:
         """What the tracks say of the horizon; from a change of the frame's size on, nothing."""
@@ -295,17 +366,31 @@ class _Run:
         return self._job.stamp(self._added.started_at + timedelta(microseconds=time_us))
 
 
-def _added(job: Job, info: VideoInfo) -> VideoAdded:
+def _added(job: Job, path: Path, info: VideoInfo) -> VideoAdded:
     """The video as the log knows it; made known now if it was not."""
     known = _find(job, VideoAdded, info.sha256)
     if known is not None:
         _check_start(job, known[0])
         return known[0]
-    started_at = _started_at(job, info)
-    event = VideoAdded(
+    place = os.fsencode(path).decode(errors="replace")  # a name need not be UTF-8; it is for people
+    event = _footage(job, info, info.sha256, place, _started_at(job, path, info))
+    _append_first(job, event)
+    return event
+
+
+def _live_added(job: Job, info: VideoInfo, started_at: datetime) -> VideoAdded:
+    """Footage of a live stream, named by where it comes from and when it began: nobody keeps its bytes."""
+    assert isinstance(job.path, Address)
+    said = [job.station, job.source, job.path.shown, started_at.isoformat()]
+    name = hashlib.sha256(json.dumps(said).encode()).hexdigest()
+    return _footage(job, info, name, job.path.shown, started_at)
+
+
+def _footage(job: Job, info: VideoInfo, name: str, place: str, started_at: datetime) -> VideoAdded:
+    return VideoAdded(
         time=job.stamp(started_at),
-        video=info.sha256,
-        path=os.fsencode(job.path).decode(errors="replace"),  # a name need not be UTF-8; it is for people
+        video=name,
+        path=place,
         width=info.width,
         height=info.height,
         fps=info.fps,
@@ -313,8 +398,11 @@ def _added(job: Job, info: VideoInfo) -> VideoAdded:
         codec=info.codec,
         started_at=started_at,
     )
-    _append_first(job, event)
-    return event
+
+
+def _check_fits(job: Job, info: VideoInfo) -> None:
+    if job.ignored is not None:
+        job.ignored.check_fits(info.width, info.height)
 
 
 def _check_start(job: Job, known: VideoAdded) -> None:
@@ -326,22 +414,24 @@ def _check_start(job: Job, known: VideoAdded) -> None:
         )
 
 
-def _started_at(job: Job, info: VideoInfo) -> datetime:
+def _started_at(job: Job, path: Path, info: VideoInfo) -> datetime:
     """Wall-clock time of the first frame, by the best there is."""
     if job.started_at is not None:
-        if not _is_plausible(job.started_at):
-            raise WrongUsage(
-                f"--start must lie in the years {_YEARS.start} to {_YEARS.stop - 1}, got {job.started_at.isoformat()}"
-            )
-        return job.started_at
+        return _checked_start(job.started_at)
     if info.creation_time is not None and _is_plausible(info.creation_time):
         return info.creation_time
-    modified = datetime.fromtimestamp(job.path.stat().st_mtime, UTC)
+    modified = datetime.fromtimestamp(path.stat().st_mtime, UTC)
     job.note(
         f"the video does not say when it was recorded: taking the file's modification time {modified.isoformat()}. "
         "Next time: --start TIME"
     )
     return modified
+
+
+def _checked_start(start: datetime) -> datetime:
+    if not _is_plausible(start):
+        raise WrongUsage(f"--start must lie in the years {_YEARS.start} to {_YEARS.stop - 1}, got {start.isoformat()}")
+    return start
 
 
 def _is_plausible(start: datetime) -> bool:
@@ -365,6 +455,18 @@ def _give_up_unfinished(job: Job, added: VideoAdded, successor: str) -> None:
         error=f"given up: it was not at its end when process {successor} began",
     )
     _append_first(job, event)
+    if isinstance(job.path, Address):
+        _say_interrupted(job, added, started, progress[0] if progress else None)
+
+
+def _say_interrupted(job: Job, added: VideoAdded, killed: ProcessStarted, progress: ProcessProgressed | None) -> None:
+    """Record that nobody watched from the last that an unfinished process said to the beginning of this footage."""
+    points = job.stream(TrackPoint)
+    newest = [segment.header.time_max for segment in job.log.read(points, job.log.stream_head(points).sequence)]
+    last = min(max([killed.time, *([progress.time] if progress else []), *newest]), added.started_at)
+    why = f"process {killed.process} came to no end: it was killed, or the machine stopped"
+    _append_first(job, StreamInterrupted(time=last, video=killed.video, why=why))
+    _append_first(job, StreamResumed(time=added.started_at, video=added.video, interrupted_at=last))
 
 
 def _start(job: Job, added: VideoAdded, process: str) -> tuple[ProcessStarted, int]:
@@ -373,7 +475,7 @@ def _start(job: Job, added: VideoAdded, process: str) -> tuple[ProcessStarted, i
         process=process,
         extractor=motion.NAME,
         extractor_version=motion.VERSION,
-        configuration=json.dumps(job.config.model_dump(mode="json"), sort_keys=True),
+        configuration=json.dumps(job.config.model_dump(mode="json") | job.options, sort_keys=True),
         video=added.video,
     )
     return event, _append_first(job, event)
@@ -412,4 +514,7 @@ def _said(job: Job, event_type: type[E]) -> Iterator[tuple[E, int]]:
 
 
 def _producer(job: Job) -> Producer:
-    return Producer(motion.NAME, motion.VERSION, job.config.config_hash)
+    configured = job.config.config_hash
+    if job.options:
+        configured = hashlib.sha256(configured + json.dumps(job.options, sort_keys=True).encode()).digest()
+    return Producer(motion.NAME, motion.VERSION, configured)

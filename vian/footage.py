@@ -4,7 +4,6 @@ Contract: reads the log and the video file, changes nothing. A video that is not
 or is another file by now, is no error: what is missing is said.
 """
 
-import hashlib
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -15,7 +14,7 @@ import numpy.typing as npt
 from events import StreamName, VideoAdded, decode, events_of
 from extractors.errors import ExtractorError
 from extractors.media import Frame
-from extractors.video import frames
+from extractors.video import digest, frames
 from store import Log
 
 Image = npt.NDArray[np.uint8]
@@ -67,11 +66,11 @@ def _video_at(log: Log, station: str, source: str, time: datetime) -> VideoAdded
 
 
 def _picture(video: VideoAdded, wanted: int) -> tuple[Image | None, str]:
+    if "://" in video.path or video.path.startswith("/dev/"):
+        return None, f"{video.path} is a live stream: nobody keeps its pictures"
     path = Path(video.path)
     try:
-        with path.open("rb") as file:
-            digest = hashlib.file_digest(file, "sha256").hexdigest()
-        if digest != video.video:
+        if digest(path) != video.video:
             return None, f"{path} is another file by now than the video that was added"
         for item in frames(path):
             if isinstance(item, Frame) and item.index == wanted:

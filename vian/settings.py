@@ -166,6 +166,19 @@ class Settings(BaseSettings):
     rows_wait_s: Annotated[float, Field(ge=0, le=3600)] = 10.0
     """`vian serve` lets rows wait so long while it stores what stations send as fast as they can, in seconds; 0: not"""
 
+    live_connect_s: Annotated[float, Field(gt=0, le=600)] = 15.0
+    """longest wait for the first picture of a live stream, in seconds"""
+    live_stall_s: Annotated[float, Field(gt=0, le=600)] = 10.0
+    """silence after which a live stream counts as interrupted and is tried again, in seconds"""
+    live_retry_s_min: Annotated[float, Field(gt=0, le=3600)] = 1.0
+    """pause before an interrupted live stream is tried again, in seconds; each failure doubles it ..."""
+    live_retry_s_max: Annotated[float, Field(gt=0, le=3600)] = 60.0
+    """... up to this, in seconds"""
+    live_give_up_h: Annotated[float, Field(gt=0)] = 168.0
+    """an interruption longer than this ends the extraction with an error, in hours"""
+    live_queue_frames: Annotated[int, Field(ge=1, le=256)] = 8
+    """pictures of a live stream that wait for the extractor; of more the oldest are left out, and counted"""
+
     @classmethod
     def settings_customise_sources(
         cls,

@@ -133,6 +133,15 @@ class MotionConfig(BaseModel):
     batch_s: Positive = 1.0
     """media time of one batch of events, s"""
 
+    view_lost_share: Share = 0.7
+    """the camera is taken to look elsewhere when more than this share of the blocks of the picture that have
+    edges show others: a crowd or a lorry covers less"""
+    view_lost_s: Positive = 1.5
+    """... for so long without a break: longer than a shake or a flash, shorter than what people wait for, s"""
+    view_rest_s: Positive = 3.0
+    """a camera that was moved rests when its picture stays for so long, s; after a rest that did not last, twice
+    as long"""
+
     @property
     def config_hash(self) -> bytes:
         """SHA-256 of the configuration's canonical form, 32 bytes."""

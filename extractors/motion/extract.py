@@ -9,12 +9,12 @@ It knows neither source nor log: whoever calls it gives the events their stream.
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
-from datetime import datetime
+from datetime import datetime, timedelta
 
 import cv2
 import numpy as np
 
-from events import EventBatch
+from events import EventBatch, SceneChanged, batch_of
 from extractors.errors import VideoError
 from extractors.media import Frame, Gap, GapReason, Image
 from extractors.motion import blobs
@@ -25,7 +25,9 @@ from extractors.motion.covering import explained
 from extractors.motion.detection import Detections, Detector
 from extractors.motion.emission import Emission
 from extractors.motion.held import FOREGROUND, Mask
+from extractors.motion.ignored import IgnoredArea
 from extractors.motion.sizes import SizePrior
+from extractors.motion.steadiness import Change, Steadiness, View
 from extractors.motion.tracks import EndReason, Observed, Tracks
 
 DT_MAX_S = 1.0
@@ -37,7 +39,8 @@ class Extraction:
     """What one interval of media time brought, and how far the work has come."""
 
     batches: tuple[EventBatch, ...]
-    """events: points, ends of tracks, their looks, activity intervals, in this order; empty where nothing moved"""
+    """events: points, ends of tracks, their looks, activity intervals, changes of the view, in this order; empty where
+    nothing moved"""
     frames: int
     """frames worked on since the beginning"""
     time_us: int
@@ -78,6 +81,7 @@ def extract(
     start_time: datetime,
     first_track_id: int = 1,
     detector: Detector | None = None,
+    ignored: IgnoredArea | None = None,
     on_frame: OnFrame | None = None,
 ) -> Iterator[Extraction]:
     """Events of what moves in the frames, an interval of `batch_s` media time at a time.
@@ -88,13 +92,14 @@ def extract(
         start_time: Wall-clock time of the first frame (aware).
         first_track_id: Number of the first track.
         detector: Finds the objects in each picture; by default they are found by what moves.
+        ignored: Where motion does not count.
         on_frame: Called after each frame with what was made of it.
 
     Raises:
         DetectorFailed: The detector stopped.
         VideoError: The frames ended with it; everything certain before was yielded.
     """
-    motion = _Motion(config, start_time, first_track_id, detector)
+    motion = _Motion(config, start_time, first_track_id, detector, ignored)
     gaps: list[Gap] = []
     step_us = round(config.batch_s * 1e6)
     due_us = step_us
@@ -103,6 +108,9 @@ def extract(
             if isinstance(item, Gap):
                 gaps.append(item)
                 motion.meet(item)
+                if item.reason is GapReason.INTERRUPTED:  # the next frame may be hours away
+                    yield motion.taken(gaps)
+                    gaps = []
                 continue
             if item.time_us >= due_us:
                 yield motion.taken(gaps)
@@ -122,13 +130,23 @@ class _Motion:
     """The method, one frame at a time."""
 
     def __init__(
-        self, config: MotionConfig, start_time: datetime, first_track_id: int, detector: Detector | None
+        self,
+        config: MotionConfig,
+        start_time: datetime,
+        first_track_id: int,
+        detector: Detector | None,
+        ignored: IgnoredArea | None,
     ) -> None:
         # What a model calls an object is one before it moves.
         self._config = config if detector is None else config.model_copy(update={"confirm_path": 0.0})
         self._detector = detector
+        self._start_time = start_time
+        self._view_shape: tuple[int, ...] = ()
+        self._changes: list[SceneChanged] = []
+        self._gaps: list[Gap] = []
         self._emission = Emission(config, start_time)
         self._next_track_id = first_track_id
+        self._ignored = ignored
         self._tracks: Tracks | None = None
         self._shape: tuple[int, ...] = ()
         self._sizes: SizePrior | None = None
@@ -137,22 +155,29 @@ class _Motion:
 
     def step(self, frame: Frame) -> Seen:
         """Find and follow what moves in one more frame."""
+        dt_s = self._dt_s(frame)
+        self._frames, self._last = self._frames + 1, frame
+        factor = max(1, frame.image.shape[0] // self._config.analysis_lines)
+        image = shrunk(frame.image, factor)
+        view = self._view(frame, image, dt_s)
+        if not view.is_kept:
+            return unseen(image, factor)
         if self._tracks is None or frame.image.shape != self._shape:
             self._restart(frame)
         assert self._tracks is not None
-        dt_s = self._dt_s(frame)
-        image = shrunk(frame.image, self._factor)
         found = self._moving(image, dt_s) if self._detector is None else self._modelled(self._detector, frame, image)
-        observed = self._tracks.step(found.objects, frame.index, frame.time_us, dt_s)
+        trusted = None if view.is_doubtful else found.objects
+        observed = self._tracks.step(trusted, frame.index, frame.time_us, dt_s)
         self._tracks.look(lambda boxes_xyxy: described(image, found.mask, boxes_xyxy))
-        self._emission.add(frame.index, frame.time_us, observed, self._factor, found.foreground.share)
-        self._frames, self._last = self._frames + 1, frame
+        self._emission.add(frame.index, frame.time_us, observed, self._factor * frame.scale, found.foreground.share)
         return Seen(self._factor, found.foreground, found.blobs_xyxy, observed)
 
     def _moving(self, image: Image, dt_s: float) -> _Found:
         """What moves in the picture."""
         assert self._tracks is not None
         foreground = self._background.foreground(image, dt_s, self._tracks.standing())
+        if self._ignored is not None:
+            foreground = self._ignored.without(foreground)
         mask = blobs.cleaned(foreground.mask, self._config)
         boxes = blobs.boxes(mask, self._config)
         self._tracks.disown(foreground.ghosts)
@@ -178,9 +203,28 @@ class _Motion:
         objects = explained(mask, found, self._tracks.expected_xyxy(dt_s), self._sizes)
         return found if objects is None else replace(objects, looks=described(image, mask, objects.boxes_xyxy))
 
+    def _view(self, frame: Frame, image: Image, dt_s: float) -> View:
+        """What is known of the view; when it is lost nothing seen before can be followed, which is recorded."""
+        if frame.image.shape != self._view_shape:
+            self._view_shape, self._steadiness = frame.image.shape, Steadiness(self._config)
+        view = self._steadiness.look(image, dt_s)
+        if view.change is not None:
+            self._stop("input_changed")
+            self._changes.append(self._scene_changed(frame, view.change, frame.image.shape[1] / image.shape[1]))
+            said = f"the camera shows another view ({view.change.cause}): nothing is said of it until it rests"
+            self._gaps.append(Gap(frame.index, GapReason.CAMERA_MOVED, said))
+        if view.has_rested:
+            self._gaps.append(Gap(frame.index, GapReason.CAMERA_RESTS, "the camera rests: its view is learnt anew"))
+        return view
+
+    def _scene_changed(self, frame: Frame, change: Change, factor: float) -> SceneChanged:
+        dx, dy = (None, None) if change.shift_xy is None else (each * factor * frame.scale for each in change.shift_xy)
+        time = self._start_time + timedelta(microseconds=frame.time_us)
+        return SceneChanged(time=time, cause=change.cause, changed_share=change.share, dx=dx, dy=dy)
+
     def meet(self, gap: Gap) -> None:
-        """Heed a gap: after a change of size, nothing seen before can be followed."""
-        if gap.reason is GapReason.SIZE_CHANGED:
+        """Heed a gap: after a change of size or an interruption, nothing seen before can be followed."""
+        if gap.reason in (GapReason.SIZE_CHANGED, GapReason.INTERRUPTED):
             self._stop("input_changed")
 
     def finish(self) -> None:
@@ -190,7 +234,10 @@ class _Motion:
     def taken(self, gaps: list[Gap]) -> Extraction:
         """What came out since the last call."""
         time_us = self._last.time_us if self._last else 0
-        return Extraction(self._emission.take(), self._frames, time_us, tuple(gaps))
+        changes = (batch_of(self._changes),) if self._changes else ()
+        said = sorted([*gaps, *self._gaps], key=lambda gap: gap.before_index)
+        self._changes, self._gaps = [], []
+        return Extraction((*self._emission.take(), *changes), self._frames, time_us, tuple(said))
 
     def _restart(self, frame: Frame) -> None:
         self._stop("input_changed")
@@ -210,6 +257,13 @@ class _Motion:
     def _dt_s(self, frame: Frame) -> float:
         since_us = frame.time_us - self._last.time_us if self._last else 0
         return min(since_us / 1e6, DT_MAX_S)
+
+
+def unseen(image: Image, factor: int) -> Seen:
+    """What is made of a picture of a camera that does not rest: nothing."""
+    foreground = Foreground(np.zeros(image.shape[:2], np.uint8), 0.0, is_light_change=False)
+    nobody = Observed((), np.zeros((0, 6)), np.zeros(0), ())
+    return Seen(factor, foreground, np.zeros((0, 4)), nobody)
 
 
 def shrunk(image: Image, factor: int) -> Image:

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from extractors.decoder import send_video
-from extractors.wire import HEADER, Header, Kind, pack, unpack
+from extractors.decoder import send
+from extractors.wire import HEADER, Header, Kind, Medium, Request, pack, unpack
 from tests.extractors.films import film, film_of_two_sizes, first_half, with_noise
 
 PIXELS_MAX = 4096 * 4096
@@ -15,7 +15,7 @@ PIXELS_MAX = 4096 * 4096
 
 def sent(path: Path, pixels_max: int = PIXELS_MAX) -> list[tuple[Header, bytes]]:
     out = io.BytesIO()
-    send_video(str(path), out, pixels_max=pixels_max)
+    send(Request(Medium.FILE, str(path), pixels_max=pixels_max), out)
     out.seek(0)
     messages = []
     while head := out.read(HEADER.size):
@@ -60,10 +60,15 @@ def test_frames_above_the_limit_are_not_sent(tmp_path: Path) -> None:
 
 
 def test_a_header_survives_the_wire() -> None:
-    header = Header(Kind.FRAME, 7, -3, 640, 480, 640 * 480 * 3)
+    header = Header(Kind.FRAME, 7, -3, 640, 480, 1.5, 640 * 480 * 3)
     assert unpack(pack(header)) == header
 
 
 def test_bytes_that_are_no_header_are_refused() -> None:
     with pytest.raises(ValueError, match="a message begins with"):
         unpack(bytes(HEADER.size))
+
+
+def test_a_request_survives_the_wire() -> None:
+    request = Request(Medium.ADDRESS, "rtsp://user:geheim@host/ä?a=1", pixels_max=7, fps=2.5, queue_frames=3)
+    assert Request.from_line(request.to_line()) == request

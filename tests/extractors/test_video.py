@@ -231,7 +231,8 @@ def test_a_picture_larger_than_the_limit_is_not_decoded(tmp_path: Path) -> None:
 def test_what_is_no_readable_file_is_named(tmp_path: Path) -> None:
     empty = tmp_path / "empty.mp4"
     empty.touch()
-    cases = {tmp_path: "is a directory", tmp_path / "no.mp4": "no such file", empty: "the file is empty"}
+    (tmp_path / "folder").mkdir()
+    cases = {tmp_path / "folder": "holds no pictures", tmp_path / "no.mp4": "no such file", empty: "the file is empty"}
     for path, said in cases.items():
         with pytest.raises(VideoUnreadable, match=said):
             probe(path)

@@ -94,5 +94,5 @@ def decoded_once() -> Iterator[None]:
     """Each video is decoded once: most tests here are about what becomes of its frames."""
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(video, "probe", cache(video.probe))
-        patched.setattr(video, "frames", cache(lambda path, decode=video.frames: tuple(decode(path))))
+        patched.setattr(video, "frames", cache(lambda path, decode=video.frames, **asked: tuple(decode(path, **asked))))
         yield

@@ -8,6 +8,8 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
+import cv2
+import numpy as np
 import psycopg
 import pytest
 
@@ -23,8 +25,8 @@ from events import (
     events_of,
 )
 from extractors import video
-from extractors.errors import DecoderDied, VideoUnreadable
-from extractors.media import Frame, Gap, GapReason
+from extractors.errors import DecoderDied, MaskUnreadable, VideoUnreadable
+from extractors.media import Frame, Gap, GapReason, Shape
 from store import Log, LogUnavailable
 from tests.conftest import Server
 from tests.vian.clips import Walk, write_clip
@@ -368,8 +370,8 @@ def test_a_video_that_fails_halfway_keeps_what_was_said(log: Log, clip: Path, mo
 def _changed(frames: Callable[..., Iterator[Frame | Gap]], is_there: Callable[[Frame], bool], what: Any) -> Any:
     """The function `frames`, with a gap or an error before a frame."""
 
-    def changed(path: Path) -> Iterator[Frame | Gap]:
-        for item in frames(path):
+    def changed(path: Path, **asked: Any) -> Iterator[Frame | Gap]:
+        for item in frames(path, **asked):
             if isinstance(item, Frame) and is_there(item):
                 if isinstance(what, Exception):
                     raise what
@@ -420,6 +422,38 @@ def cut_off(log: Log, server: Server, frame: int = 30) -> Callable[[int, int | N
 def allow_connections(log: Log, server: Server) -> None:
     name = psycopg.conninfo.conninfo_to_dict(log.dsn)["dbname"]
     server.execute(f"alter database {name} allow_connections true")
+
+
+def test_a_folder_of_pictures_is_extracted(log: Log, clip: Path, tmp_path: Path) -> None:
+    for item in video.frames(clip):
+        if isinstance(item, Frame):
+            time = START + timedelta(microseconds=item.time_us)
+            cv2.imwrite(str(tmp_path / time.strftime("gate_%Y%m%d_%H%M%S_%f.png")), item.image)
+    done = extract_motion(job(log, tmp_path, started_at=None))
+    assert (done.frames, done.video.started_at, done.video.codec) == (60, START, "pictures")
+    assert len({point.track_id for point in said(log, extraction.TrackPoint)}) == 1
+
+
+def test_what_is_asked_of_the_pictures_names_another_process(log: Log, clip: Path) -> None:
+    whole = extract_motion(job(log, clip))
+    half = extract_motion(job(log, clip, shape=Shape(fps=5, width_max=160)))
+    assert half.process != whole.process
+    assert (whole.frames, half.frames) == (60, 30)
+    assert extract_motion(job(log, clip, shape=Shape(fps=5, width_max=160))).was_done
+    points = said(log, extraction.TrackPoint)
+    all_x, half_x = (
+        [p.x for p in points if (p.track_id == points[0].track_id) == is_first] for is_first in (True, False)
+    )
+    assert max(half_x) == pytest.approx(max(all_x), abs=20), "px of the video, not of the smaller picture"
+    hashes = {segment.header.producer.configuration_hash for segment in log.read_all(types=["track_point"])}
+    assert len(hashes) == 2
+
+
+def test_an_area_that_does_not_fit_leaves_no_trace(log: Log, clip: Path) -> None:
+    area = extraction.motion.IgnoredArea("area.png", np.zeros((90, 160), np.uint8))
+    with pytest.raises(MaskUnreadable, match=r"area\.png: is 160x90 px, and the video's pictures are 320x240"):
+        extract_motion(job(log, clip, ignored=area))
+    assert log.head() == 0
 
 
 def test_the_hostile_video_is_survived(log: Log, vian_data: Path) -> None:

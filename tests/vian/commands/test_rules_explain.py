@@ -89,7 +89,7 @@ def test_it_is_drawn_on_the_frame_of_the_last_row(log: Log, run: Run, clip: Path
 def test_a_picture_that_is_not_there_is_said_and_drawn_blank(entered: Log, run: Run, tmp_path: Path) -> None:
     ran = run("rules", "explain", identity(entered), "--draw", tmp_path / "blank.png", "--dsn", entered.dsn)
     assert ran.code == 0
-    assert "drawn without a picture: the video v cannot be read: No such file or directory" in ran.words
+    assert "drawn without a picture: v: no such file" in ran.words
     assert (tmp_path / "blank.png").stat().st_size > 1000
 
 

@@ -1,0 +1,148 @@
+"""A camera that rests, shakes, turns, drives or is covered, over a picture of known texture."""
+
+from collections.abc import Callable, Iterable
+from datetime import UTC, datetime
+
+import cv2
+import numpy as np
+import pytest
+
+from events import ActivityInterval, SceneChanged, TrackEnded, TrackPoint, events_of
+from extractors.media import Frame, Gap, GapReason, Image
+from extractors.motion import MotionConfig, extract
+from extractors.motion.steadiness import Change, Steadiness
+
+FPS = 10
+WIDTH, HEIGHT = 320, 240
+START = datetime(2026, 1, 1, tzinfo=UTC)
+
+
+def world(seed: int = 4) -> Image:
+    """Houses: rectangles of many sizes and tones, larger than the picture."""
+    rng = np.random.default_rng(seed)
+    image = np.full((3 * HEIGHT, 6 * WIDTH, 3), 120, np.uint8)
+    for _ in range(900):
+        x, y = rng.integers(0, image.shape[1]), rng.integers(0, image.shape[0])
+        width, height = rng.integers(10, 70, 2)
+        cv2.rectangle(image, (int(x), int(y)), (int(x + width), int(y + height)), rng.integers(30, 220, 3).tolist(), -1)
+    return image
+
+
+WORLD = world()
+
+
+def view(x: float, y: float = HEIGHT, *, seed: int = 0, noise: float = 2.0) -> Image:
+    """What the camera sees whose upper left corner is here."""
+    shift = np.array([[1, 0, -x], [0, 1, -y]], np.float32)
+    seen = cv2.warpAffine(WORLD, shift, (WIDTH, HEIGHT)).astype(np.float32)
+    grain = np.random.default_rng(seed).normal(0, noise, seen.shape)
+    return np.asarray(np.clip(seen + grain, 0, 255), np.uint8)
+
+
+def changes(pictures: Iterable[Image]) -> tuple[list[tuple[float, Change]], list[float]]:
+    """When the view was lost and how, and when the camera rested again, s."""
+    steadiness = Steadiness(MotionConfig())
+    lost, rested = [], []
+    for at, image in enumerate(pictures):
+        seen = steadiness.look(image, 1 / FPS if at else 0.0)
+        if seen.change is not None:
+            lost.append((at / FPS, seen.change))
+        if seen.has_rested:
+            rested.append(at / FPS)
+    return lost, rested
+
+
+def test_a_camera_that_rests_keeps_its_view() -> None:
+    assert changes(view(300, seed=at) for at in range(60)) == ([], [])
+
+
+def test_shaking_in_the_wind_is_no_other_view() -> None:
+    sway = [(3 * np.sin(2.1 * at), 2 * np.cos(3.3 * at)) for at in range(60)]
+    assert changes(view(300 + dx, HEIGHT + dy, seed=at) for at, (dx, dy) in enumerate(sway)) == ([], [])
+
+
+def test_the_dark_and_the_light_are_no_other_view() -> None:
+    def lit(at: int) -> Image:
+        factor = 1.0 if at < 20 else 0.35 if at < 40 else 1.2
+        return np.asarray(np.clip(view(300, seed=at).astype(np.float32) * factor, 0, 255), np.uint8)
+
+    assert changes(lit(at) for at in range(60)) == ([], [])
+
+
+def test_a_crowd_is_no_other_view() -> None:
+    def crowded(at: int) -> Image:
+        image = view(300, seed=at)
+        for i in range(14):
+            left = (37 * i + (6 + i % 5) * at) % (WIDTH + 40) - 40
+            cv2.rectangle(image, (left, 70 + 9 * i % 90), (left + 24, 150 + 9 * i % 90), (30 + 15 * i, 60, 90), -1)
+        return image
+
+    assert changes(crowded(at) for at in range(60)) == ([], [])
+
+
+def test_a_camera_that_is_turned_is_found_with_its_shift_and_rests() -> None:
+    ((lost_s, change),), (rested_s,) = changes(view(300 if at < 30 else 340, seed=at) for at in range(100))
+    assert 3 < lost_s < 6, "a few seconds"
+    assert change.cause == "moved"
+    assert change.shift_xy is not None
+    # Half a pixel of the compared picture, which is half as wide.
+    assert change.shift_xy == pytest.approx((-40, 0), abs=1.0)
+    assert change.share > 0.7
+    assert lost_s + 2.8 < rested_s < lost_s + 4
+
+
+@pytest.mark.parametrize("speed", [10.0, 40.0, 200.0])
+def test_a_camera_that_goes_on_moving_does_not_rest(speed: float) -> None:
+    lost, rested = changes(view(100 + speed * at / FPS, seed=at) for at in range(60))
+    assert len(lost) == 1
+    assert lost[0][0] < 5
+    assert not rested
+
+
+def test_a_covered_camera_is_found() -> None:
+    covered = np.full((HEIGHT, WIDTH, 3), 20, np.uint8)
+    ((_, change),), _ = changes(view(300, seed=at) if at < 30 else covered for at in range(60))
+    assert change.cause == "covered"
+
+
+def test_a_picture_without_edges_says_nothing() -> None:
+    grey = np.full((HEIGHT, WIDTH, 3), 90, np.uint8)
+    assert changes(grey if at < 30 else view(300, seed=at) for at in range(60)) == ([], [])
+
+
+def frames(see: Callable[[int], Image], count: int) -> Iterable[Frame]:
+    for at in range(count):
+        yield Frame(at, round(1e6 * at / FPS), see(at))
+
+
+def test_a_camera_that_drives_says_so_and_finds_nobody() -> None:
+    steps = list(extract(frames(lambda at: view(100 + 6.0 * at, seed=at), 120), MotionConfig(), start_time=START))
+    batches = [batch for step in steps for batch in step.batches]
+    (changed,) = [event for batch in batches if batch.type is SceneChanged for event in events_of(batch)]
+    assert isinstance(changed, SceneChanged)
+    assert not [batch for batch in batches if batch.type in (TrackPoint, TrackEnded, ActivityInterval)]
+    assert [gap.reason for step in steps for gap in step.gaps] == [GapReason.CAMERA_MOVED]
+    assert steps[-1].frames == 120
+
+
+def test_after_the_camera_was_turned_objects_are_found_again() -> None:
+    def see(at: int) -> Image:
+        image = view(300 if at < 50 else 420, seed=at)
+        if at > 120:
+            left = 4 * (at - 120)
+            image[100:180, left : left + 36] = (230, 240, 250)
+        return image
+
+    steps = list(extract(frames(see, 180), MotionConfig(), start_time=START))
+    gaps: list[Gap] = [gap for step in steps for gap in step.gaps]
+    assert [gap.reason for gap in gaps] == [GapReason.CAMERA_MOVED, GapReason.CAMERA_RESTS]
+    points = [
+        event
+        for step in steps
+        for batch in step.batches
+        if batch.type is TrackPoint
+        for event in events_of(batch)
+        if isinstance(event, TrackPoint)
+    ]
+    assert points
+    assert min(point.frame for point in points) > 120

@@ -1,0 +1,127 @@
+"""Live streams into a real log: interruptions, kills, and nothing of a login anywhere."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any
+
+import pytest
+
+from events import (
+    EventType,
+    ProcessFailed,
+    ProcessFinished,
+    ProcessProgressed,
+    ProcessStarted,
+    StreamInterrupted,
+    StreamResumed,
+    TrackPoint,
+    VideoAdded,
+    decode,
+    events_of,
+)
+from extractors.addresses import Address, parsed
+from extractors.errors import DecoderStalled
+from extractors.live import LiveLimits
+from extractors.media import Shape
+from store import Log
+from tests.extractors.streams import Camera, rtsp
+from vian.extraction import Job, extract_motion
+
+LIMITS = LiveLimits(connect_s=20, stall_s=1, retry_s_min=0.1, retry_s_max=0.4)
+
+
+class Killed(Exception):
+    """The process was killed here."""
+
+
+def job(log: Log, url: str, **changes: Any) -> Job:
+    place = parsed(url)
+    assert isinstance(place, Address)
+    return replace(Job(log=log, station="brno", source="gate", path=place, live=LIMITS), **changes)
+
+
+def until(frames: int) -> dict[str, Callable[..., Any]]:
+    """What ends a job once so many frames were worked on."""
+    done: list[int] = [0]
+    return {
+        "on_progress": lambda count, _: done.append(count),
+        "is_stopped": lambda: done[-1] >= frames,
+    }
+
+
+def said(log: Log, event_type: type[EventType]) -> list[Any]:
+    segments = log.read_all(types=[event_type.type_name])
+    return [event for segment in segments for event in events_of(decode(segment, log.catalogue))]
+
+
+def test_a_live_stream_becomes_events_until_it_is_stopped(log: Log) -> None:
+    with rtsp(Camera(login="user:geheim")) as url:
+        done = extract_motion(job(log, url.replace("//", "//user:geheim@"), **until(30)))
+    (added,) = said(log, VideoAdded)
+    assert (added.path, added.width, added.height) == (url, 160, 120)
+    (finished,) = said(log, ProcessFinished)
+    assert finished.frames == done.frames >= 30
+    assert all(
+        "geheim" not in repr(event) for segment in log.read_all() for event in events_of(decode(segment, log.catalogue))
+    )
+
+
+def test_an_interruption_is_recorded_when_it_begins_and_when_it_ends(log: Log) -> None:
+    with rtsp(Camera(frames=60)) as url:
+        extract_motion(job(log, url, **until(70)))
+    (added,) = said(log, VideoAdded)
+    lost, back = said(log, StreamInterrupted)[0], said(log, StreamResumed)[0]
+    assert lost.video == back.video == added.video
+    assert lost.why == "the live stream is interrupted: the other side ended it"
+    assert added.started_at < lost.time == back.interrupted_at < back.time
+    notes = [event.note for event in said(log, ProcessProgressed) if event.note]
+    assert any("is back after" in note for note in notes)
+    assert not [point for point in said(log, TrackPoint) if lost.time < point.time < back.time]
+
+
+def test_a_change_of_size_is_new_footage(log: Log) -> None:
+    with rtsp(Camera(frames=40, sizes=((160, 120), (192, 144)))) as url:
+        extract_motion(job(log, url, **until(50)))
+    small, large, *_ = said(log, VideoAdded)
+    assert [(each.width, each.height) for each in (small, large)] == [(160, 120), (192, 144)]
+    assert small.video != large.video
+    assert small.started_at < large.started_at
+
+
+def test_after_a_kill_the_next_run_goes_on_and_says_what_is_missing(log: Log) -> None:
+    def kill(done: int, _: int | None) -> None:
+        if done >= 30:
+            raise Killed
+
+    with rtsp(Camera()) as url:
+        with pytest.raises(Killed):
+            extract_motion(job(log, url, on_progress=kill))
+        before = said(log, TrackPoint)
+        extract_motion(job(log, url, **until(30)))
+    first, second = said(log, ProcessStarted)
+    (failed,), (finished,) = said(log, ProcessFailed), said(log, ProcessFinished)
+    assert (failed.process, finished.process) == (first.process, second.process)
+    old, new = said(log, VideoAdded)
+    (lost,), (back,) = said(log, StreamInterrupted), said(log, StreamResumed)
+    assert (lost.video, back.video) == (old.video, new.video)
+    assert old.started_at < lost.time == back.interrupted_at <= back.time == new.started_at
+    points = said(log, TrackPoint)
+    assert points[: len(before)] == before
+    assert all(a.time <= b.time for a, b in pairwise(points))
+    assert not {p.track_id for p in before} & {p.track_id for p in points[len(before) :]}
+
+
+def test_a_camera_that_never_answers_leaves_no_trace(log: Log) -> None:
+    with rtsp(Camera(is_mute=True)) as url, pytest.raises(DecoderStalled, match="Next: is the camera on"):
+        extract_motion(job(log, url, live=replace(LIMITS, connect_s=1)))
+    assert log.head() == 0
+
+
+def test_smaller_pictures_leave_events_in_the_videos_own_pixels(log: Log) -> None:
+    with rtsp(Camera()) as url:
+        extract_motion(job(log, url, shape=Shape(width_max=80), **until(30)))
+    (added,) = said(log, VideoAdded)
+    assert (added.width, added.height) == (160, 120)
+    (started,) = said(log, ProcessStarted)
+    assert '"width_max": 80' in started.configuration
