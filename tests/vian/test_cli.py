@@ -47,7 +47,8 @@ READERS = [
 def test_the_commands_are_those_that_there_should_be() -> None:
     assert {" ".join(path) for path in ALL} == {
         "archive", "archive project", "archive relocate", "archive status", "backup", "demo", "doctor", "events",
-        "evaluate ground", "evaluate horizon", "evaluate tracks", "evidence export", "evidence verify", "extract motion", "find plate", "find situation",
+        "evaluate ground", "evaluate horizon", "evaluate tracks",
+        "evidence export", "evidence verify", "extract motion", "find plate", "find situation",
         "init", "project", "project maintain",
         "project rebuild", "project status", "prune", "psql", "query", "restore", "rules backtest",
         "rules check", "rules deploy", "rules expand", "rules explain", "rules flink", "rules lint", "rules new",

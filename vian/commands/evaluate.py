@@ -25,7 +25,9 @@ Fps = Annotated[
 ]
 TruthSize = Annotated[
     str | None,
-    typer.Option("--truth-size", help="Frame size of the truth, as 768x576.", show_default="that of the video"),
+    typer.Option(
+        "--truth-size", help="Frame size of truth and detections, as 768x576.", show_default="that of the video"
+    ),
 ]
 
 
@@ -67,7 +69,7 @@ def tracks(
     truth: Annotated[Path, typer.Argument(help="True tracks: MOTChallenge gt.txt, or a PETS annotation (.xml).")],
     found: Annotated[
         list[Path],
-        typer.Argument(help="A tracker's output, or a video; may be many."),
+        typer.Argument(help="A tracker's output, detections (ids -1) that are tracked first, or a video; may be many."),
     ],
     fps: Fps = 25.0,
     truth_size: TruthSize = None,
@@ -85,7 +87,7 @@ def tracks(
     )  # fmt: skip
     rows = []
     for path in found:
-        boxes, own = _found(path, fps)
+        boxes, own = _found(path, fps, size)
         here = true if own is None else _fitted(truth, true, size or own, own)
         rows.append((str(path), *_rounded(tuple(asdict(scores(here, boxes)).values()))))
     Output(is_json=as_json).table("", columns, rows)
@@ -178,18 +180,23 @@ def _draw(found: "list[Judged]", folder: Path) -> None:
         write_image(drawn(overlay), folder / f"{name}.png")
 
 
-def _found(path: Path, fps: float) -> "tuple[Boxes, tuple[int, int] | None]":
-    """The boxes of a tracker's output, or of a video with its frame size."""
+def _found(path: Path, fps: float, size: tuple[int, int] | None) -> "tuple[Boxes, tuple[int, int] | None]":
+    """The boxes of a tracker's output, of detections that are tracked, or of a video with its frame size."""
     from vian.evaluation.files import read_boxes
-    from vian.evaluation.running import watched
+    from vian.evaluation.running import tracked, watched
 
     if path.suffix.lower() not in (".txt", ".csv", ".xml"):
         video = watched(path)
         return video.boxes, (video.info.width, video.info.height)
     boxes = read_boxes(path, fps=fps)
-    if (boxes.track_id < 0).any():
-        raise WrongUsage(f"{path}: boxes without a track (id -1). Next: run a tracker over them, and give its output")
-    return boxes, None
+    is_free = boxes.track_id < 0
+    if not is_free.any():
+        return boxes, None
+    if not is_free.all():
+        raise WrongUsage(f"{path}: boxes with and without a track (id -1), wanted one kind. Next: give two files")
+    if size is None:
+        raise WrongUsage(f"{path}: detections are tracked in a frame of known size. Next: --truth-size WIDTHxHEIGHT")
+    return tracked(boxes, *size), None
 
 
 def _size_of(text: str | None) -> tuple[int, int] | None:

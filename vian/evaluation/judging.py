@@ -69,7 +69,7 @@ def summaries(found: Sequence[Judged]) -> list[Summary]:
 
 def _summary(method: str, found: Sequence[Judged]) -> Summary:
     errors = np.array([each.error for each in found])
-    # An order statistic, not a mean of two: half of an infinite error says nothing.
+    # Between a finite and an infinite error there is no number to interpolate: their mean is infinite.
     low, high = (np.quantile(errors, 0.5, method=side) for side in ("lower", "higher"))
     quartile, decile = (np.quantile(errors, q, method="higher") for q in (0.75, 0.9))
     return Summary(

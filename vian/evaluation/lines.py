@@ -38,6 +38,10 @@ class Horizon:
         basis = np.stack([np.asarray(x, float), np.ones_like(x, float)])
         return np.asarray(np.sqrt(np.einsum("i...,ij,j...->...", basis, self.covariance, basis)))
 
+    def reach_at(self, x: npt.ArrayLike) -> Floats:
+        """How far its 95 % interval reaches to either side at x, px."""
+        return np.asarray(norm.ppf((1 + INTERVAL) / 2) * self.sd_at(x))
+
     def scaled(self, factor_x: float, factor_y: float) -> "Horizon":
         """The same horizon in pixels of a frame of another size."""
         factors = np.array([factor_y / factor_x, factor_y])
@@ -65,8 +69,7 @@ def auc(errors: Sequence[float], error_max: float = AUC_MAX) -> float:
 def is_covered(estimated: Horizon, truth: Horizon, width: int) -> bool:
     """Whether the 95 % interval of the horizon's height in the middle of the image holds the true one."""
     middle = (width - 1) / 2
-    reach = norm.ppf((1 + INTERVAL) / 2) * estimated.sd_at(middle)
-    return bool(abs(estimated.at(middle) - truth.at(middle)) <= reach)
+    return bool(abs(estimated.at(middle) - truth.at(middle)) <= estimated.reach_at(middle))
 
 
 def is_in_region(estimated: Horizon, truth: Horizon) -> bool:

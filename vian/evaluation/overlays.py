@@ -19,7 +19,7 @@ from vian.evaluation.lines import Horizon
 Image = npt.NDArray[np.uint8]
 Colour = tuple[int, int, int]
 """Blue, green, red."""
-WIDTH_PX = 480
+WIDTH_PX = 400
 """Width of the picture: small enough to lie in a gallery."""
 BEYOND_MAX = 1.5
 """How far the canvas reaches beyond the frame at most, frame heights."""
@@ -72,7 +72,8 @@ def write_image(image: Image, file: Path) -> None:
     if file.suffix.lower() not in (".png", ".jpg", ".jpeg"):
         raise WrongUsage(f"{file}: wanted a name that ends with .png or .jpg")
     suffix = file.suffix.lower()
-    quality = [] if suffix == ".png" else [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]
+    smallest = [cv2.IMWRITE_PNG_COMPRESSION, 9, cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_NONE]
+    quality = smallest if suffix == ".png" else [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]
     is_encoded, data = cv2.imencode(suffix, image, quality)
     assert is_encoded, "OpenCV encodes any 8-bit image as PNG or JPEG"
     try:
@@ -109,7 +110,8 @@ def _draw_way(canvas: Image, track: Boxes, top: float, scale: float) -> None:
     way = _px(track.feet_xy, top, scale)
     hue = (int(track.track_id[0]) * _GOLDEN_ANGLE) % 1.0
     red, green, blue = (round(255 * each) for each in colorsys.hls_to_rgb(hue, 0.65, 0.75))
-    cv2.polylines(canvas, [way], False, (blue, green, red), 1, cv2.LINE_AA)
+    # Without shades the many ways compress to a third.
+    cv2.polylines(canvas, [way], False, (blue, green, red), 1, cv2.LINE_8)
 
 
 def _draw_line(canvas: Image, line: Horizon, width: int, top: float, scale: float, colour: Colour) -> None:
@@ -122,7 +124,7 @@ def _draw_band(canvas: Image, line: Horizon, width: int, top: float, scale: floa
     if line.covariance is None:
         return
     x = np.linspace(0, width - 1, 33)
-    y, reach = line.at(x), 1.96 * line.sd_at(x)
+    y, reach = line.at(x), line.reach_at(x)
     outline = np.concatenate([np.stack([x, y - reach], 1), np.stack([x, y + reach], 1)[::-1]])
     tinted = canvas.copy()
     cv2.fillPoly(tinted, [_px(outline, top, scale)], colour, cv2.LINE_AA)

@@ -32,7 +32,7 @@ def plot_errors(found: Sequence[Judged], file: Path) -> None:
         for each in summaries(found):
             errors = np.sort([one.error for one in found if one.method == each.method])
             shares = np.arange(1, len(errors) + 1) / len(errors)
-            x = np.concatenate([[0.0], errors[np.isfinite(errors)], [max(AUC_MAX, 1e9)]])
+            x = np.concatenate([[0.0], errors[np.isfinite(errors)], [AUC_MAX * 2]])
             y = np.concatenate([[0.0], shares[np.isfinite(errors)], [np.isfinite(errors).mean()]])
             axes.step(x, y, where="post", label=f"{each.method}: AUC {each.auc:.2f}, median {each.median:.3f}")
         axes.set(xlim=(0, AUC_MAX), ylim=(0, 1.02), xlabel="error, image heights", ylabel="share of scenes")

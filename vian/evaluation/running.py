@@ -13,6 +13,8 @@ from events import EventBatch, TrackPoint
 from extractors import video
 from extractors.media import Frame, Gap, Image, VideoInfo
 from extractors.motion import MotionConfig, extract
+from extractors.motion.emission import Emission
+from extractors.motion.tracks import Tracks
 from vian.evaluation.boxes import Boxes
 
 START = datetime(1970, 1, 1, tzinfo=UTC)
@@ -65,3 +67,31 @@ def _keeping(frames: Iterable[Frame | Gap], wanted: int, kept: list[Image]) -> I
         if isinstance(frame, Frame) and (not kept or frame.index == wanted):
             kept[:] = [frame.image]
         yield frame
+
+
+def tracked(detections: Boxes, width: int, height: int, config: MotionConfig | None = None) -> Boxes:
+    """Tracks of given detections, by the tracker of the motion extractor alone.
+
+    Args:
+        detections: Boxes, whose track numbers do not count.
+        width: Width of the frames, px.
+        height: Their height, px.
+        config: The parameters.
+    """
+    chosen = (config or MotionConfig()).model_copy(update={"confirm_path": 0.0})  # a detection is an object
+    tracks, emission = Tracks(chosen, width, height, 1), Emission(chosen, START)
+    numbers = np.arange(detections.frame.max(initial=-1) + 1)
+    step_us = _step_us(detections)
+    for number in numbers:
+        here = detections.xyxy[detections.frame == number]
+        time_us = round(number * step_us)
+        observed = tracks.step(here, int(number), time_us, step_us / 1e6)
+        emission.add(int(number), time_us, observed, 1.0, 0.0)
+    emission.close(tracks.end_all("end_of_video"))
+    return boxes_of_points(emission.take())
+
+
+def _step_us(boxes: Boxes) -> float:
+    """Time between two frames, µs."""
+    last = int(boxes.frame.max(initial=0))
+    return float(boxes.time_us[boxes.frame == last].max(initial=0) / last) if last else 0.0

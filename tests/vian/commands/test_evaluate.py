@@ -10,6 +10,7 @@ import pytest
 
 from tests.vian.conftest import Run
 from tests.vian.evaluation.cameras import Pinhole, walkers
+from vian.evaluation.boxes import Boxes
 from vian.evaluation.files import write_mot
 
 CAMERA = Pinhole(pitch=0.05)
@@ -68,7 +69,7 @@ def test_errors_are_plotted_and_scenes_are_drawn(scenes: Path, run: Run, tmp_pat
     assert [each.name for each in pictures] == ["000.png", "001.png"]
     drawn = cv2.imread(str(pictures[0]))
     assert drawn is not None
-    assert drawn.shape[1] == 480
+    assert drawn.shape[1] == 400
     assert pictures[0].stat().st_size < 60_000
 
 
@@ -152,6 +153,22 @@ def test_tracks_of_files_are_scored(run: Run, tmp_path: Path) -> None:
     (same, late) = told(ran.out)
     assert (same["HOTA"], same["MOTA"], same["IDF1"]) == (1.0, 1.0, 1.0)
     assert (late["MOTA"], late["misses"]) == (0.75, 60)
+
+
+def test_detections_are_tracked_before_they_are_scored(run: Run, tmp_path: Path) -> None:
+    write_mot(BOXES, tmp_path / "gt.txt")
+    free = Boxes(BOXES.frame, np.full_like(BOXES.track_id, -1), BOXES.xyxy, BOXES.confidence, BOXES.time_us)
+    write_mot(free, tmp_path / "det.txt")
+    files = ("evaluate", "tracks", tmp_path / "gt.txt", tmp_path / "det.txt", "--fps", 10)
+    (found,) = told(run(*files, "--truth-size", "640x480", "--json").out)
+    assert found["found tracks"] >= 5
+    assert found["MOTA"] > 0.5
+    ran = run(*files)
+    assert (ran.code, "Next: --truth-size" in ran.words) == (2, True)
+    with (tmp_path / "det.txt").open("a") as file:
+        file.write("99,7,5,5,9,9,1,-1,-1,-1\n")
+    ran = run(*files)
+    assert (ran.code, "with and without a track" in ran.words) == (2, True)
 
 
 def test_truth_that_is_not_to_be_considered_is_left_out(run: Run, tmp_path: Path) -> None:
