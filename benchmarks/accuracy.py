@@ -12,7 +12,7 @@ import argparse
 import os
 import subprocess
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -44,7 +44,7 @@ class Row:
     what: str
     measure: str
     ours: float | None
-    references: dict[str, float | None]
+    references: Mapping[str, float | None]
     target: float | None = None
     at_least: bool = True
     is_ahead_wanted: bool = False
@@ -70,7 +70,7 @@ class Row:
             "what": self.what,
             "measure": self.measure,
             "ours": self.ours,
-            "references": self.references,
+            "references": dict(self.references),
             "wanted": self._wanted(),
             "is_reached": self.is_reached,
         }
