@@ -4,6 +4,7 @@ Contract: `create_app` builds it from what it is given; it holds no state of its
 """
 
 import asyncio.sslproto
+import logging
 import socket
 import threading
 from collections.abc import Iterator, Sequence
@@ -147,6 +148,11 @@ def bind(host: str, port: int) -> socket.socket:
     return listening
 
 
+def _is_news(record: logging.LogRecord) -> bool:
+    """Whether it is more than that idle connections did not close by themselves, which stations' never do."""
+    return not record.getMessage().startswith("Cancel 0 running task(s)")
+
+
 @contextmanager
 def serving(app: FastAPI, listening: socket.socket, certificate: Certificate | None = None) -> Iterator[str]:
     """The application served from a thread while the block runs, over TLS with a certificate; its address."""
@@ -161,6 +167,7 @@ def serving(app: FastAPI, listening: socket.socket, certificate: Certificate | N
         # A station that holds its connection open, or does not answer TLS's farewell, must not hold up the end.
         timeout_graceful_shutdown=_END_SECONDS_MAX,
     )
+    logging.getLogger("uvicorn.error").addFilter(_is_news)
     asyncio.sslproto.SSLProtocol.max_size = _TLS_BUFFER_BYTES
     server = uvicorn.Server(config)
     thread = threading.Thread(target=server.run, kwargs={"sockets": [listening]}, name="vian-http", daemon=True)

@@ -240,11 +240,12 @@ class Door:
             order, follows = (_name(request, header) for header in (ORDER_HEADER, FOLLOWS_HEADER))
             one = await self.workers.do(lambda: asked(request))
             station = one.caller.station
-            with self._places.taken(station), self.turns.under_way(station, order):
+            with self._places.taken(station):
                 await self.turns.wait_until_come(station, follows)
-                async with self._room.taken(station, size):
-                    body = await read_signed(request, limits, one.digest, waits.append)
-                    yield Call(one.caller, body, one, began + sum(waits), order, follows)
+                with self.turns.under_way(station, order):  # only now: what follows it must not go ahead of it
+                    async with self._room.taken(station, size):
+                        body = await read_signed(request, limits, one.digest, waits.append)
+                        yield Call(one.caller, body, one, began + sum(waits), order, follows)
 
         return call
 
@@ -345,7 +346,8 @@ def _version_2(
 
         with while_storing():
             records = await door.workers.do(checked, size)
-            await turns.wait_until_through(caller.station, call.follows)
+        await turns.wait_until_through(caller.station, call.follows)
+        with while_storing():
             answer = await door.workers.do(stored, size)
         turns.is_through(caller.station, call.order)
         return answer.model_copy(update={"took_s": call.took_s()})

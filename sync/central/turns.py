@@ -17,10 +17,11 @@ from events import Station
 
 COME_S = 2.0
 """How long a request waits for one that has not come."""
-THROUGH_S = 60.0
-"""How long a request waits for one that has come: two that follow each other must not wait for ever."""
+THROUGH_S = 25.0
+"""How long a request waits for one that has come: less than its body is counted (`sync.central.room.PATIENCE_S`), and
+than its station listens."""
 WAITING_MAX = 4
-"""Requests of a station that wait at a time: each holds a body in memory."""
+"""Requests of a station that wait at a time."""
 NAME_LENGTH_MAX = 64
 _REMEMBERED = 16
 """Requests of a station that are remembered."""

@@ -130,8 +130,12 @@ class Flights:
 
     def _followed(self, parcel: Parcel) -> str:
         """Name of the newest request under way that carries what this parcel goes on from."""
-        keys = {each.key for each in parcel.filled}
-        names = [other.name for other in self._under_way.values() if keys & {each.key for each in other.parcel.filled}]
+        begins = {(each.key, each.after) for each in parcel.filled}
+        names = [
+            other.name
+            for other in self._under_way.values()
+            if begins & {(each.key, each.end) for each in other.parcel.filled}
+        ]
         return names[-1] if names else ""
 
     def _fly(self, parcel: Parcel, name: str, follows: str) -> Landed:

@@ -7,9 +7,11 @@ from typing import Any, cast
 import pytest
 
 from sync.protocol.wire import SegmentsAnswer
+from sync.runs import Point, StreamKey
 from sync.station.client import Link
 from sync.station.flights import Flights, Landed
-from sync.station.outbox import Parcel
+from sync.station.outbox import Filled, Parcel
+from tests.sync.conftest import NOON, stream_of
 
 NOTHING = Parcel((), ())
 ALERTS, POINTS = 0, 30
@@ -20,8 +22,10 @@ class Hanging:
 
     def __init__(self) -> None:
         self.may_answer = threading.Event()
+        self.followed: dict[str, str] = {}
 
-    def send(self, *_: Any) -> SegmentsAnswer:
+    def send(self, _: Any, order: str, follows: str) -> SegmentsAnswer:
+        self.followed[order] = follows
         assert self.may_answer.wait(60.0)
         return SegmentsAnswer(cursors=(), stored=0, duplicates=0)
 
@@ -78,6 +82,24 @@ def test_two_requests_on_a_slow_link_begin_apart(central: Hanging) -> None:
     assert flights.is_apart(took_s=0.01), "a fast link needs no distance"
     clock.now += 0.31
     assert flights.is_apart(took_s=0.6)
+
+
+def test_a_request_follows_the_one_that_ends_where_it_begins(central: Hanging) -> None:
+    flights = flights_to(central, 2, Clock())
+    flights.launch(parcel(0, 10))
+    flights.launch(parcel(10, 20))
+    flights.launch(parcel(30, 40), ALERTS)  # what is live goes on from nothing that is under way
+    central.may_answer.set()
+    while len(flights):
+        flights.wait()
+        flights.landed()
+    assert central.followed == {"test-1": "", "test-2": "test-1", "test-3": ""}
+
+
+def parcel(after: int, end: int) -> Parcel:
+    """Events of one stream behind a sequence, up to another; the records themselves do not matter here."""
+    ends = (Point(sequence, bytes([sequence]) * 32) for sequence in (after, end))
+    return Parcel((), (Filled(StreamKey(stream_of(), 1), *ends, 1000, NOON),))
 
 
 def test_what_central_took_itself_is_not_the_way() -> None:

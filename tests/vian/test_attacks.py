@@ -292,12 +292,17 @@ def half_sent(central: Served, client: Client) -> Iterator[tuple[ssl.SSLSocket, 
     head = "".join(f"{name}: {value}\r\n" for name, value in request.headers.items())
     with tls_connection(central) as connection:
         connection.sendall(f"POST {PATH}/segments HTTP/1.1\r\n{head}\r\n".encode() + request.content[:-1])
-        numbers = "select max(newest) from sync_tokens"
-        for _ in range(10_000):  # it was let in when its number is taken
-            with central.log.connection() as watched:
-                if watched.execute(numbers).fetchone() == (1,):
-                    break
+        wait_until_let_in(central)
         yield connection, request.content[-1:]
+
+
+def wait_until_let_in(central: Served, number: int = 1) -> None:
+    """Return when central has taken the number of a request: it was let in."""
+    for _ in range(10_000):
+        with central.log.connection() as watched:
+            if watched.execute("select max(newest) from sync_tokens").fetchone() == (number,):
+                return
+    raise AssertionError(f"request {number} was not let in")
 
 
 def test_a_station_does_not_fill_memory_with_requests(log: Log, tmp_path: Path) -> None:
@@ -365,16 +370,25 @@ def test_a_request_of_a_long_name_is_refused(central: Served, brno: Client) -> N
     assert central.stored == 0
 
 
-def test_the_second_request_is_stored_behind_the_first_though_it_comes_before(central: Served, brno: Client) -> None:
+def test_the_second_request_is_stored_behind_the_first_though_it_comes_before(
+    log: Log, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sync.central.room.SMALL_BYTES", 0)
     first, second = segments_in_a_row()
     bodies = encode_records([Record(first, bytes(32))]), encode_records([Record(second, first.chain_hash)])
-    one, other = (brno.request("segments", body) for body in bodies)
-    one.headers[ORDER_HEADER] = other.headers[FOLLOWS_HEADER] = "a-1"
-    with ThreadPoolExecutor(1) as thread:
-        later = thread.submit(central.http().send, other)
-        assert brno.http.send(one).status_code == 200
-        assert later.result().status_code == 200
-    assert central.stored == 2
+    with central_at(log, tmp_path, CENTRAL_KEY, replace(LIMITS, bodies_bytes_max=1)) as central:  # a body at a time
+        central.enrol("brno", KEY)
+        brno = Client(central)
+        brno.hello()
+        one, other = (brno.request("segments", body) for body in bodies)
+        one.headers[ORDER_HEADER] = other.headers[FOLLOWS_HEADER] = "a-1"
+        with ThreadPoolExecutor(1) as thread:
+            later = thread.submit(central.http().send, other)
+            wait_until_let_in(central, 2)
+            assert brno.http.send(one).status_code == 200
+            assert later.result().status_code == 200
+        assert central.stored == 2
+        central.close()
 
 
 def test_a_slow_body_is_given_up(central: Served, brno: Client) -> None:

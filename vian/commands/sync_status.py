@@ -229,7 +229,9 @@ def _central(view: CentralView, wanted: str | None, late_s: float) -> _Shown:
         found = next((each for each in view.stations if each.station == wanted), None)
         if found is None:
             known = ", ".join(str(each.station) for each in view.stations) or "none"
-            raise WorldFailed(f"central knows no station {wanted}; known: {known}. Next: vian station list")
+            raise WorldFailed(
+                f"central knows no station {wanted}; known: {known}. Next: vian sync status without --station for all"
+            )
         return _one(found, late_s)
     columns = ("station", "state", "last_contact", "streams", "behind", "in_gaps", "lag", "refused_today")
     rows = tuple(

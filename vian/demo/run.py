@@ -21,6 +21,7 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from events import station_name
 from patterns.engine.compiling import compiling_beside
+from patterns.errors import PatternError
 from patterns.files.rule import Rule
 from patterns.processor import Processor, deploy
 from store import Log, Projector, StationKey, Verification, verify
@@ -28,6 +29,7 @@ from sync.central.access import REPLICATE, Access
 from sync.protocol.enrolment import new_secret
 from sync.station.daemon import Daemon
 from vian.api import bind, create_app, serving
+from vian.clock import utc_now
 from vian.demo.clip import Clip
 from vian.demo.report import Facts, write_report
 from vian.demo.scenes import rules_for, source_of
@@ -104,7 +106,7 @@ def run_demo(
 
     Raises:
         WrongUsage: The log holds another station's streams.
-        WorldFailed: The parts did not come together in time.
+        WorldFailed: The parts did not come together in time, or another release's demo began the log.
     """
     began = monotonic()
     with ExitStack() as stack:
@@ -113,7 +115,7 @@ def run_demo(
         _check_is_ours(station)
         central = stack.enter_context(open_central())
         rules = rules_for(clip)
-        deploy(station, STATION, rules, {rule.rule: file_text(rule) for rule in rules}, CLIP_START)
+        _deploy(station, rules)
         extraction = _run_together(stack, station, central, rules, clip, output)
         verified = verify(station), verify(central)
         agree = _heads(station) == _heads(central)
@@ -136,18 +138,32 @@ def run_demo(
     return summary
 
 
+def _deploy(station: Log, rules: list[Rule]) -> None:
+    try:
+        deploy(station, STATION, rules, {rule.rule: file_text(rule) for rule in rules}, CLIP_START)
+    except PatternError as error:
+        what = str(error).partition(". Next: ")[0]
+        raise WorldFailed(
+            f"the demo cannot go on in this log, which another release's demo began: {what}. "
+            "Next: vian demo --data-dir NEW-FOLDER"
+        ) from error
+
+
 def _run_together(
     stack: ExitStack, station: Log, central: Log, rules: list[Rule], clip: Clip, output: Output
 ) -> Extraction:
     """Extraction, projectors, rules, server and sync at once, until all have come to the same place."""
-    access = Access(central, station_name("central"), _CENTRAL_KEY, now=lambda: CLIP_START)
+    clock = _Clock()
+    access = Access(central, station_name("central"), _CENTRAL_KEY, now=clock)
     app = create_app(central, access=access)
     address = stack.enter_context(serving(app, bind("127.0.0.1", 0)))
+    membership = _membership(access, address)
+    clock.stands = False
     daemon = stack.enter_context(
         station_daemon(
             station,
             STATION,
-            peer_by_membership(_membership(access, address), _KEY, CENTRAL),
+            peer_by_membership(membership, _KEY, CENTRAL),
             load_plan(None),
             now=lambda: CLIP_START,
             transport=_Loopback(httpx.URL(address)),
@@ -173,6 +189,18 @@ def _run_together(
         output.note("bringing rules, row tables and the central log to the same place")
         _converge(running, station, central, processor, projectors, daemon)
     return extraction
+
+
+class _Clock:
+    """Central's: it stands while the station is enrolled, whose events are so the same each time, and goes on then.
+
+    A demo that is run again must not give the challenges that were answered before.
+    """
+
+    stands = True
+
+    def __call__(self) -> datetime:
+        return CLIP_START if self.stands else utc_now()
 
 
 def _membership(access: Access, address: str) -> Membership:

@@ -5,10 +5,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from structlog.testing import capture_logs
 
 from events import StreamName, SyncPlanned, decode, events_of
 from extractors.scene import street, write
-from patterns.processor import Processor
+from patterns.files.loading import parse_rule
+from patterns.processor import Processor, deploy
 from store import Log, verify
 from sync.station.daemon import Daemon
 from tests.vian.clips import Walk, write_clip
@@ -16,11 +18,12 @@ from tests.vian.demo.conftest import Stage
 from tests.vian.samples import append, points
 from vian.demo import run as demo
 from vian.demo.clip import Clip, Origin
-from vian.demo.run import CENTRAL, Summary, summary_rows
-from vian.demo.scenes import source_of
+from vian.demo.run import CENTRAL, CLIP_START, STATION, Summary, summary_rows
+from vian.demo.scenes import rules_for, source_of
 from vian.errors import WorldFailed, WrongUsage
 from vian.extraction import Appender
 from vian.querying import query
+from vian.rules import file_text
 
 pytestmark = pytest.mark.usefixtures("decoded_once")
 
@@ -66,7 +69,9 @@ def assert_the_log_names_central_and_not_its_port(stage: Stage) -> None:
 def test_a_second_run_appends_nothing_and_shows_the_same(stage: Stage) -> None:
     first, before = stage.run(), stage.heads()
     page = stage.report.read_text()
-    second = stage.run()
+    with capture_logs() as said:
+        second = stage.run()
+    assert [each["event"] for each in said if each["log_level"] != "info"] == []
     assert stage.heads() == before
     assert second.extraction.was_done
     assert list(summary_rows(second))[1:] == list(summary_rows(first))[1:]
@@ -74,6 +79,14 @@ def test_a_second_run_appends_nothing_and_shows_the_same(stage: Stage) -> None:
     assert stage.report.read_text() == page.replace(
         "<dd>60</dd>", "<dd>60 <small>(extracted in an earlier run)</small></dd>"
     )
+
+
+def test_a_log_of_another_releases_demo_is_said_to_be_one(stage: Stage) -> None:
+    rule = next(iter(rules_for(stage.clip)))
+    text = file_text(rule).replace("title: ", "title: 'then' # ", 1)
+    deploy(stage.station, STATION, [parse_rule(text, "<then>")], {rule.rule: text}, CLIP_START)
+    with pytest.raises(WorldFailed, match=r"another release's demo began: .* another content.*--data-dir NEW-FOLDER"):
+        stage.run()
 
 
 class Stopped(Exception):
