@@ -15,6 +15,10 @@ from vian.errors import WrongUsage
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
+FRAMES_MAX = 10_000_000
+"""Numbers of frames beyond this are mistakes: some days of video."""
+COORDINATE_MAX = 1e6
+"""Coordinates beyond this are mistakes, px: products of four of them still have all digits."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,9 +113,20 @@ def _check_boxes(name: object, frames: Ints, xyxy: Floats, confidence: Floats) -
             f"{name}: row {int(frames.argmin()) + 1} lies before the first frame. "
             "Next: count frames as the format says, MOTChallenge from 1"
         )
+    if len(frames) and frames.max() > FRAMES_MAX:
+        raise WrongUsage(
+            f"{name}: row {int(frames.argmax()) + 1} is of frame {frames.max()}, wanted at most {FRAMES_MAX}. "
+            "Next: mend that row"
+        )
     bad = np.flatnonzero(~np.isfinite(xyxy).all(axis=1) | ~np.isfinite(confidence))
     if len(bad):
         raise WrongUsage(f"{name}: row {bad[0] + 1} has a number that is not finite. Next: mend or drop that row")
+    bad = np.flatnonzero((np.abs(xyxy) > COORDINATE_MAX).any(axis=1))
+    if len(bad):
+        raise WrongUsage(
+            f"{name}: row {bad[0] + 1} reaches {np.abs(xyxy[bad[0]]).max():g} px, wanted at most {COORDINATE_MAX:g}. "
+            "Next: mend or drop that row"
+        )
     sizes = xyxy[:, 2:] - xyxy[:, :2]
     bad = np.flatnonzero((sizes <= 0).any(axis=1))
     if len(bad):

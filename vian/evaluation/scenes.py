@@ -24,6 +24,8 @@ from vian.evaluation.lines import Horizon
 from vian.evaluation.tsai import horizon_of, read_camera
 
 TRACKS, TRUTH = "tracks.csv", "truth.json"
+SECONDS_MAX = 1e10
+"""Times beyond this are mistakes: some centuries from the first frame, s."""
 _TYPES = {"scene": pa.string(), **dict.fromkeys(("frame", "id"), pa.int64())} | dict.fromkeys(
     ("t", "x", "y", "w", "h"), pa.float64()
 )
@@ -149,9 +151,9 @@ def _tracks(path: Path) -> Iterator[tuple[str, Boxes]]:
     frame, number, t, x, y, w, h = (
         table[name].to_numpy(zero_copy_only=False) for name in ("frame", "id", "t", "x", "y", "w", "h")
     )
-    bad = np.flatnonzero(~np.isfinite(np.asarray(t, float)))
+    bad = np.flatnonzero(~(np.abs(np.asarray(t, float)) <= SECONDS_MAX))
     if len(bad):
-        raise WrongUsage(f"{path}: line {bad[0] + 2} has no time. Next: mend or drop that line")
+        raise WrongUsage(f"{path}: line {bad[0] + 2} has no time that can be. Next: mend or drop that line")
     xyxy = np.stack([x, y, x + w, y + h], axis=1).astype(float)
     for name in np.unique(names):
         rows = np.flatnonzero(names == name)
