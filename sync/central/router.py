@@ -344,10 +344,9 @@ def _version_2(
             contacts.heard(caller.station, now())
             return answer
 
-        with while_storing():
+        with while_storing():  # also while it waits: what it waits for is being stored
             records = await door.workers.do(checked, size)
-        await turns.wait_until_through(caller.station, call.follows)
-        with while_storing():
+            await turns.wait_until_through(caller.station, call.follows)
             answer = await door.workers.do(stored, size)
         turns.is_through(caller.station, call.order)
         return answer.model_copy(update={"took_s": call.took_s()})
