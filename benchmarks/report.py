@@ -36,6 +36,8 @@ def page() -> str:
         sections += over_the_log(_loaded("patterns_log"), _loaded("flink"))
     if (RESULTS / "sync.json").exists():
         sections += of_sync(_loaded("sync"))
+    if (RESULTS / "accuracy.json").exists():
+        sections += of_accuracy(_loaded("accuracy"))
     return "\n".join([_HEAD, *sections])
 
 
@@ -211,6 +213,26 @@ def of_sync(said: dict[str, Any]) -> Iterator[str]:
             reached = f"{row['reached']:,.{_digits(row['reached'])}f} {row['unit']}".rstrip()
             yield f"| {row['what']} | {reached} | {_target({'ratio': row['reached'], **row})} |"
     yield ""
+
+
+def of_accuracy(said: dict[str, Any]) -> Iterator[str]:
+    """The section on how right tracks, horizons and positions are."""
+    yield (
+        f"## Accuracy\n\n`python -m benchmarks.accuracy`, {_when(said)}, on public data beside references in one run. "
+        "Errors of horizons are in image heights. SORT and ByteTrack are those of the package `trackers` on the public "
+        "detections, A and B the plain methods of `vian.evaluation.references`. The method and the scenes as pictures: "
+        "[evaluation](guides/evaluation.md), [gallery](gallery/README.md).\n"
+    )
+    yield "| what | measure | ours | beside | wanted |\n|---|---|---:|---|---|"
+    for row in said["rows"]:
+        beside = ", ".join(f"{name} {_figure(value)}" for name, value in row["references"].items() if value is not None)
+        wanted = row["wanted"] and f"{row['wanted']}: {'reached' if row['is_reached'] else 'missed'}"
+        yield f"| {row['what']} | {row['measure']} | {_figure(row['ours'])} | {beside} | {wanted} |"
+    yield ""
+
+
+def _figure(value: float | None) -> str:
+    return "" if value is None else f"{value:.3f}"
 
 
 def _wanted(target: float | None, *, at_least: bool = True) -> dict[str, Any]:

@@ -1,7 +1,8 @@
 """The page of figures is what the last runs measured, and nothing else."""
 
+from benchmarks import accuracy
 from benchmarks.measuring import Figure, Row
-from benchmarks.report import PAGE, RESULTS, beside_flink, of_rules, of_sync, over_the_log, page
+from benchmarks.report import PAGE, RESULTS, beside_flink, of_accuracy, of_rules, of_sync, over_the_log, page
 
 
 def test_the_page_is_written_from_the_results() -> None:
@@ -76,3 +77,22 @@ def test_sync_stands_beside_its_references_and_what_was_wanted() -> None:
     )
     assert "| an alert at central, max of 90 | 0.810 s | at most 1: reached |" in section
     assert "| payload | 93.5 % |  |" in section
+
+
+def test_accuracy_stands_beside_its_references_and_what_was_wanted() -> None:
+    peers = {"SORT": 0.40, "ByteTrack": 0.45}
+    rows = [
+        accuracy.Row("tracking", "IDF1", 0.8, peers, 0.75, is_ahead_wanted=True),
+        accuracy.Row("tracking", "HOTA", 0.42, peers, is_ahead_wanted=True),
+        accuracy.Row("horizon", "coverage", 1.0, {"A": None}, 0.9, target_max=0.99),
+        accuracy.Row("horizon", "error", None, {"A": 0.1}, 0.03, at_least=False),
+        accuracy.Row("tracker", "MOTA", 0.5, peers),
+    ]
+    said = {"measured_at": "2026-01-01T10:00:00+00:00", "is_quick": False, "rows": [row.plain() for row in rows]}
+    assert list(of_accuracy(said))[2:-1] == [
+        "| tracking | IDF1 | 0.800 | SORT 0.400, ByteTrack 0.450 | at least 0.75 and not behind any: reached |",
+        "| tracking | HOTA | 0.420 | SORT 0.400, ByteTrack 0.450 | not behind any: missed |",
+        "| horizon | coverage | 1.000 |  | 0.9 to 0.99: missed |",
+        "| horizon | error |  | A 0.100 | at most 0.03: missed |",
+        "| tracker | MOTA | 0.500 | SORT 0.400, ByteTrack 0.450 |  |",
+    ]

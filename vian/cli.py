@@ -39,6 +39,8 @@ MODULES = {
     "serve": "serve",
     "doctor": "doctor",
     "extract": "extract",
+    "truth": "truth",
+    "evaluate": "evaluate",
     "rules": "rules",
     "stages": "stages",
     "zones": "zones",

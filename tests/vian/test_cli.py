@@ -47,6 +47,7 @@ READERS = [
 def test_the_commands_are_those_that_there_should_be() -> None:
     assert {" ".join(path) for path in ALL} == {
         "archive", "archive project", "archive relocate", "archive status", "backup", "demo", "doctor", "events",
+        "evaluate ground", "evaluate horizon", "evaluate tracks",
         "evidence export", "evidence verify", "extract calibration", "extract horizon", "extract motion", "find plate",
         "find situation",
         "init", "project", "project maintain",
@@ -57,7 +58,7 @@ def test_the_commands_are_those_that_there_should_be() -> None:
         "station leave", "station list", "station new-epoch", "station revoke", "streams", "sync", "sync doctor",
         "sync plan pause", "sync plan preview",
         "sync plan resume", "sync plan set", "sync plan show", "sync repair", "sync status",
-        "tail", "upgrade", "verify",
+        "tail", "truth horizon", "upgrade", "verify",
         "zones calibrate", "zones define", "zones draw", "zones import", "zones list", "zones remove",
     }  # fmt: skip
 
@@ -81,7 +82,8 @@ def test_every_option_is_explained(path: tuple[str, ...]) -> None:
     [
         p
         for p in ALL
-        if p[0] not in ("rules", "stages", "station", "events", "evidence") or p[1:] in (("run",), ("export",))
+        if p[0] not in ("rules", "stages", "station", "events", "evidence", "truth", "evaluate")
+        or p[1:] in (("run",), ("export",))
     ],
     ids=" ".join,
 )

@@ -1,0 +1,62 @@
+"""A calibration from a file: the fields of `camera_calibrated` that say where pixels lie on the ground."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from vian.errors import WrongUsage
+from vian.evaluation.files import text_of
+
+Floats = npt.NDArray[np.float64]
+Number = Annotated[float, Field(allow_inf_nan=False)]
+Row = tuple[Number, Number, Number]
+
+
+class _Read(BaseModel):
+    model_config = ConfigDict(frozen=True)
+    homography: tuple[Row, Row, Row]
+    width: Annotated[int, Field(ge=1, le=100_000)]
+    height: Annotated[int, Field(ge=1, le=100_000)]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Calibration:
+    """Where a camera's pixels lie on the ground."""
+
+    width: int
+    """of the frame, px"""
+    height: int
+    """of the frame, px"""
+    matrix: Floats
+    """`(3, 3)`: (X, Y, W) = H (x, y, 1) of px; X/W and Y/W in m, where W > 0"""
+
+
+def read_calibration(path: Path) -> Calibration:
+    """The calibration of a file.
+
+    Raises:
+        WorldFailed: It cannot be read.
+        WrongUsage: It does not hold what it should.
+    """
+    try:
+        said = json.loads(text_of(path))
+        if isinstance(said, dict) and isinstance(said.get("homography"), str):
+            said["homography"] = json.loads(said["homography"])  # as the event has it
+        read = _Read.model_validate(said)
+    except json.JSONDecodeError as error:
+        raise WrongUsage(f"{path}: not JSON: {error}. Next: mend that place") from error
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise WrongUsage(
+            f"{path}: {'.'.join(map(str, first['loc'])) or 'the whole'}: {first['msg']}; wanted homography (3 x 3), "
+            "width and height. Next: mend that place"
+        ) from error
+    matrix = np.array(read.homography)
+    if abs(np.linalg.det(matrix / np.abs(matrix).max(initial=1e-300))) < 1e-15:
+        raise WrongUsage(f"{path}: the homography cannot be inverted. Next: give one of a camera")
+    return Calibration(read.width, read.height, matrix)
