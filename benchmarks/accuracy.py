@@ -21,12 +21,15 @@ import platformdirs
 
 from benchmarks.measuring import keep
 from vian.evaluation.boxes import Boxes
+from vian.evaluation.calibrations import TrackCalibration
 from vian.evaluation.estimators import estimators
 from vian.evaluation.files import read_boxes
+from vian.evaluation.ground import ground_scores, mapped
 from vian.evaluation.judging import Summary, judged, summaries
 from vian.evaluation.running import Watched, tracked, watched
 from vian.evaluation.scenes import Scene, read_scenes, read_truth
 from vian.evaluation.scoring import Scores, scores
+from vian.evaluation.tsai import read_camera
 
 PEER = "trackers>=2.6,<3"
 PEER_FOLDER = Path(platformdirs.user_cache_dir("vian")) / "benchmarks" / "trackers-2.6"
@@ -93,7 +96,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     found = list(_horizons(data))
     if not options.quick:
         video = watched(data / PETS / "vtest_480x360.avi")
-        found += [*_pets_horizon(data, video), *_pets_tracks(data, video), *_alone(data)]
+        found += [*_pets_horizon(data, video), *_pets_tracks(data, video), *_pets_ground(data, video), *_alone(data)]
     for row in found:
         said = row.plain()
         beside = ", ".join(f"{name} {_shown(value)}" for name, value in row.references.items())
@@ -146,6 +149,24 @@ def _pets_tracks(data: Path, video: Watched) -> Iterator[Row]:
     what = "tracking on the PETS clip, from its video"
     for measure, target in (("MOTA", 0.7), ("IDF1", 0.75), ("HOTA", None)):
         yield _scored(what, measure, ours, peers, target)
+
+
+def _pets_ground(data: Path, video: Watched) -> Iterator[Row]:
+    """Annotated feet by the calibration that the video's own tracks give, beside the published one."""
+    truth = read_boxes(data / PETS / "PETS2009-S2L1.xml", fps=PETS_FPS)
+    size = video.info.width, video.info.height
+    calibrated = TrackCalibration().calibrate(video.boxes, *size)
+    found = None
+    if calibrated is not None:
+        feet = truth.feet_xy * [size[0] / PETS_SIZE[0], size[1] / PETS_SIZE[1]]
+        published = read_camera(data / PETS / "View_001.xml")
+        found = ground_scores(truth, mapped(calibrated.matrix, feet), published.ground_of(truth.feet_xy))
+    what = "positions on the PETS clip, from its video"
+    for measure, name, target in (
+        ("median error, m", "median_m", 0.3),
+        ("speed of walkers off by", "speed_error", 0.15),
+    ):
+        yield Row(what, measure, None if found is None else getattr(found, name), {}, target, at_least=False)
 
 
 def _alone(data: Path) -> Iterator[Row]:

@@ -13,6 +13,8 @@ from vian.output import Output
 
 if TYPE_CHECKING:
     from vian.evaluation.boxes import Boxes
+    from vian.evaluation.calibrations import Calibration
+    from vian.evaluation.ground import GroundScores
     from vian.evaluation.judging import Judged
     from vian.evaluation.scenes import Scene
 
@@ -93,45 +95,84 @@ def tracks(
     Output(is_json=as_json).table("", columns, rows)
 
 
-@app.command(epilog="Example: vian evaluate ground View_001.xml annotation.xml --calibration camera.json")
+@app.command(epilog="Example: vian evaluate ground View_001.xml annotation.xml gate.mp4 --fps 7")
 def ground(
     camera: Annotated[Path, typer.Argument(help="The published calibration: Tsai's model, as PETS has it (.xml).")],
     truth: Annotated[Path, typer.Argument(help="True tracks in that camera's frames: MOTChallenge or PETS (.xml).")],
+    found: Annotated[
+        Path | None,
+        typer.Argument(
+            help="What the camera is calibrated from: its video, or tracks like the truth's.", show_default="none"
+        ),
+    ] = None,
     calibration: Annotated[
-        Path,
-        typer.Option("--calibration", help="JSON with homography, width and height, as camera_calibrated has them."),
-    ],
+        Path | None,
+        typer.Option(
+            "--calibration", help="Instead: JSON with homography, width and height, as camera_calibrated has them."
+        ),
+    ] = None,
     fps: Fps = 25.0,
     as_json: options.Json = False,
 ) -> None:
     """Measure positions on the ground and walkers' speeds by a calibration, against a published one."""
-    from vian.evaluation.calibrations import read_calibration
     from vian.evaluation.files import read_boxes
     from vian.evaluation.ground import ground_scores, mapped
     from vian.evaluation.scenes import check_proportions
+    from vian.evaluation.scoring import pairs_of
     from vian.evaluation.tsai import read_camera
 
+    if (found is None) == (calibration is None):
+        raise WrongUsage(f"give either FOUND or --calibration, got {'neither' if found is None else 'both'}")
     published = read_camera(camera)
+    size = (published.width, published.height)
     true = read_boxes(truth, fps=fps, is_truth=True)
-    _check_within(truth, true, (published.width, published.height))
-    tested = read_calibration(calibration)
-    check_proportions(calibration, (tested.width, tested.height), (published.width, published.height))
-    feet = true.feet_xy * [tested.width / published.width, tested.height / published.height]
-    found = ground_scores(true, mapped(tested.matrix, feet), published.ground_of(true.feet_xy))
-    if found is None:
+    _check_within(truth, true, size)
+    boxes, own = (None, None) if found is None else _found(found, fps, size)
+    tested = _calibration(calibration, found, boxes, own or size)
+    named = calibration or found
+    assert named is not None, "one of them was given"
+    check_proportions(named, (tested.width, tested.height), size)
+    scale = tested.width / size[0], tested.height / size[1]
+    places = published.ground_of(true.feet_xy)
+    output = Output(is_json=as_json)
+    _tell(output, "annotated", ground_scores(true, mapped(tested.matrix, true.feet_xy * scale), places), named)
+    if boxes is not None:
+        here, there = pairs_of(true.scaled(*scale), boxes)
+        moved = mapped(tested.matrix, boxes.feet_xy[there])
+        _tell(output, "found", ground_scores(true.where(here), moved, places[here]), named)
+
+
+def _tell(output: Output, feet: str, measured: "GroundScores | None", named: Path) -> None:
+    """Print how far positions of these feet are off."""
+    if measured is None:
         raise WrongUsage(
-            f"{calibration}: puts fewer than two of the {len(true)} positions on the ground. "
-            "Next: see that its homography is of pixels to metres, with W > 0 below the horizon"
+            f"{named}: fewer than two {feet} positions can be compared on the ground. "
+            "Next: see that it is of this camera, and its homography of pixels to metres, with W > 0 below the horizon"
         )
-    values = asdict(found)
-    centiles = ", ".join(f"{p} %: {value:.2f}" for p, value in found.percentiles_m.items())
-    Output(is_json=as_json).result(
-        values,
-        f"positions of {found.tracks} tracks off by {found.median_m:.3f} m (median; m within {centiles}), "
-        f"{found.unplaced} of {found.positions + found.unplaced} not on the ground\n"
-        f"speeds of {found.walkers} walkers off by {found.speed_error:.1%} (median), {found.speed_within:.0%} of them "
-        f"by at most 15 %; estimated over true: {found.speed_ratio:.3f}",
+    centiles = ", ".join(f"{p} %: {value:.2f}" for p, value in measured.percentiles_m.items())
+    output.result(
+        {"feet": feet} | asdict(measured),
+        f"{feet} feet: positions of {measured.tracks} tracks off by {measured.median_m:.3f} m (median; m within "
+        f"{centiles}), {measured.unplaced} of {measured.positions + measured.unplaced} not on the ground\n"
+        f"{feet} feet: speeds of {measured.walkers} walkers off by {measured.speed_error:.1%} (median), "
+        f"{measured.speed_within:.0%} of them by at most 15 %; estimated over true: {measured.speed_ratio:.3f}",
     )
+
+
+def _calibration(file: Path | None, found: Path | None, boxes: "Boxes | None", size: tuple[int, int]) -> "Calibration":
+    """The calibration of the file, or the one that tracks give."""
+    from vian.evaluation.calibrations import TrackCalibration, read_calibration
+
+    if file is not None:
+        return read_calibration(file)
+    assert boxes is not None, "there are tracks where there is no file"
+    calibrated = TrackCalibration().calibrate(boxes, *size)
+    if calibrated is None:
+        raise WorldFailed(
+            f"{found}: its {len(boxes)} boxes do not decide the camera: too few upright tracks, or too little between "
+            "near and far. Next: give a longer recording"
+        )
+    return calibrated
 
 
 def _scenes(path: Path, truth: Path | None) -> "list[Scene]":

@@ -3,13 +3,16 @@
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Protocol
 
 import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from events import CameraCalibrated, events_of
+from extractors.calibration import CalibrationConfig, CalibrationFold
 from vian.errors import WrongUsage
+from vian.evaluation.boxes import Boxes
 from vian.evaluation.files import text_of
 
 Floats = npt.NDArray[np.float64]
@@ -34,6 +37,29 @@ class Calibration:
     """of the frame, px"""
     matrix: Floats
     """`(3, 3)`: (X, Y, W) = H (x, y, 1) of px; X/W and Y/W in m, where W > 0"""
+
+
+class Calibrator(Protocol):
+    """Finds where a camera's pixels lie on the ground, from boxes of what moved."""
+
+    def calibrate(self, boxes: Boxes, width: int, height: int) -> Calibration | None:
+        """The calibration; None to abstain. Nothing is kept between calls."""
+        ...
+
+
+class TrackCalibration:
+    """The calibrator that ships: `extractors.calibration`, with its default parameters."""
+
+    def calibrate(self, boxes: Boxes, width: int, height: int) -> Calibration | None:
+        """The last calibration that it says, or none."""
+        fold = CalibrationFold(CalibrationConfig(), (width, height))
+        fold.add_points(boxes.time_us, boxes.track_id, boxes.xyxy, boxes.confidence)
+        said = [event for batch in fold.finish() for event in events_of(batch)]
+        if not said:
+            return None
+        last = said[-1]
+        assert isinstance(last, CameraCalibrated), "the fold says nothing else"
+        return Calibration(last.width, last.height, np.array(json.loads(last.homography)))
 
 
 def read_calibration(path: Path) -> Calibration:

@@ -2,6 +2,7 @@
 
 from typing import Protocol
 
+from extractors.horizon import FrameSize, HorizonConfig, TrackPoints, estimated
 from vian.errors import WrongUsage
 from vian.evaluation.boxes import Boxes
 from vian.evaluation.lines import Horizon
@@ -18,13 +19,28 @@ class HorizonEstimator(Protocol):
         ...
 
 
+class TrackHorizon:
+    """The estimator that ships: `extractors.horizon`, with its default parameters."""
+
+    name = "vian"
+
+    def estimate(self, boxes: Boxes, width: int, height: int) -> Horizon | None:
+        """The horizon and its covariance, or none."""
+        points = TrackPoints(boxes.time_us, boxes.track_id, boxes.frame, boxes.xyxy, boxes.confidence)
+        found = estimated(points, FrameSize(width, height), HorizonConfig())
+        if found is None:
+            return None
+        line = found.fit.line
+        return Horizon(line.slope, line.offset, found.fit.line_covariance)
+
+
 def estimators(names: list[str] | None = None) -> list[HorizonEstimator]:
     """The estimators of these names; all of them without names.
 
     Raises:
         WrongUsage: There is none of a name.
     """
-    known: list[HorizonEstimator] = [VoteLine(), SizeRelation()]
+    known: list[HorizonEstimator] = [TrackHorizon(), VoteLine(), SizeRelation()]
     if names is None:
         return known
     by_name = {each.name: each for each in known}

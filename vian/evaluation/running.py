@@ -12,9 +12,7 @@ import numpy.typing as npt
 from events import EventBatch, TrackPoint
 from extractors import video
 from extractors.media import Frame, Gap, Image, VideoInfo
-from extractors.motion import MotionConfig, extract
-from extractors.motion.emission import Emission
-from extractors.motion.tracks import Tracks
+from extractors.motion import DetectedFrame, Detections, MotionConfig, extract, track_detections
 from vian.evaluation.boxes import Boxes
 
 START = datetime(1970, 1, 1, tzinfo=UTC)
@@ -78,17 +76,15 @@ def tracked(detections: Boxes, width: int, height: int, config: MotionConfig | N
         height: Their height, px.
         config: The parameters.
     """
-    chosen = (config or MotionConfig()).model_copy(update={"confirm_path": 0.0})  # a detection is an object
-    tracks, emission = Tracks(chosen, width, height, 1), Emission(chosen, START)
-    numbers = np.arange(detections.frame.max(initial=-1) + 1)
     step_us = _step_us(detections)
-    for number in numbers:
-        here = detections.xyxy[detections.frame == number]
-        time_us = round(number * step_us)
-        observed = tracks.step(here, int(number), time_us, step_us / 1e6)
-        emission.add(int(number), time_us, observed, 1.0, 0.0)
-    emission.close(tracks.end_all("end_of_video"))
-    return boxes_of_points(emission.take())
+    frames = (
+        DetectedFrame(number, round(number * step_us), Detections.clear(here.xyxy, here.confidence))
+        for number in range(int(detections.frame.max(initial=-1)) + 1)
+        for here in (detections.where(detections.frame == number),)
+    )
+    rows = track_detections(frames, config or MotionConfig(), width=width, height=height)
+    times_us = np.round(rows[:, 0] * step_us).astype(np.int64)
+    return Boxes(rows[:, 0].astype(np.int64), rows[:, 1].astype(np.int64), rows[:, 2:6], rows[:, 6], times_us)
 
 
 def _step_us(boxes: Boxes) -> float:

@@ -251,6 +251,21 @@ def test_positions_are_measured_against_a_published_calibration(run: Run, tmp_pa
     assert "positions of 6 tracks off by 0.000 m" in run(*arguments).out
 
 
+def test_the_camera_is_calibrated_from_tracks_or_not_at_all(run: Run, tmp_path: Path, published: Path) -> None:
+    camera = Pinhole(pitch=float(np.radians(20)))
+    boxes, _ = walkers(camera, np.random.default_rng(8), tracks=30)
+    write_mot(boxes, tmp_path / "gt.txt")
+    arguments = ("evaluate", "ground", published, tmp_path / "gt.txt")
+    (found, matched) = told(run(*arguments, tmp_path / "gt.txt", "--fps", 10, "--json").out)
+    assert found["median_m"] < 1.0
+    assert (found["feet"], matched["feet"], matched["positions"]) == ("annotated", "found", len(boxes))
+    write_mot(boxes.where(boxes.track_id == 1), tmp_path / "one.txt")
+    ran = run(*arguments, tmp_path / "one.txt")
+    assert (ran.code, "do not decide the camera" in ran.words, "Next: " in ran.words) == (1, True, True)
+    ran = run(*arguments)
+    assert (ran.code, "got neither" in ran.words) == (2, True)
+
+
 @pytest.mark.parametrize(
     "said, wanted",
     [
