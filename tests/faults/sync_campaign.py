@@ -202,6 +202,7 @@ class Campaign:
         self._hear()
         self._weather(CALM)
         heads: dict[StreamKey, int] = {}
+        self._countersigned()
         while heads != (heads := self._heads_here()):  # what the killed one had begun may still be committed
             self._caught_up(heads)
             self._listen(LOAD_S_MAX)
@@ -212,6 +213,16 @@ class Campaign:
         self._check_kept()
         self.tally.acknowledged = sum(self._ledger.values())
         self.tally.held = sum(map(len, self._seen.values()))
+
+    def _countersigned(self) -> None:
+        """Wait until central has countersigned something of the station's present life; a busy machine takes long."""
+        deadline = time.monotonic() + WAIT_S
+        while not self._signatures() and time.monotonic() < deadline:
+            self._listen(0.1)
+
+    def _signatures(self) -> int:
+        stream = StreamName.of(STATION, "sync", "checkpoint_countersigned")
+        return int(persistently(self._station, lambda: self._station.stream_head(stream)).sequence)
 
     # Faults.
 
@@ -483,9 +494,9 @@ class Campaign:
 
     def _check_kept(self) -> None:
         """Central has countersigned, and of each filter holds events that it leaves, in order, from the first on."""
-        signed = self._station.stream_head(StreamName.of(STATION, "sync", "checkpoint_countersigned"))
-        self.tally.countersigned += int(signed.sequence)
-        self._expect(bool(signed.sequence), "central countersigned nothing of the station's present life")
+        signed = self._signatures()
+        self.tally.countersigned += signed
+        self._expect(bool(signed), "central countersigned nothing of the station's present life")
         frames = self._frames(self._station, FILTERED)
         for index, divisor in enumerate(DIVISORS):
             held = self._frames(self._central, _derived(index))
