@@ -40,7 +40,7 @@ from store import Log, LogUnavailable, back_up, open_log, restore, verify
 from store.embedded import EmbeddedServer
 from sync import Plan
 from sync.plans.entries import derived_name
-from sync.plans.planning import planned_in, set_plan
+from sync.plans.planning import Planned, planned_in, set_plan
 from tests.faults.load import WAIT_S, Process, opened, persistently
 from tests.faults.sync_load import (
     ANSWER_S_MAX,
@@ -216,9 +216,16 @@ class Campaign:
 
     def _countersigned(self) -> None:
         """Wait until central has countersigned something of the station's present life; a busy machine takes long."""
+        self._wait_until(lambda: bool(self._signatures()))
+
+    def _wait_until(self, is_so: Callable[[], bool]) -> None:
+        """Return when it is so, or has not become so for long: who needs it looks."""
         deadline = time.monotonic() + WAIT_S
-        while not self._signatures() and time.monotonic() < deadline:
+        while not is_so() and time.monotonic() < deadline:
             self._listen(0.1)
+
+    def _planned(self) -> Planned | None:
+        return persistently(self._station, lambda: planned_in(self._station, STATION))
 
     def _signatures(self) -> int:
         stream = StreamName.of(STATION, "sync", "checkpoint_countersigned")
@@ -276,11 +283,9 @@ class Campaign:
 
     def change_plan(self) -> None:
         """Another filter, while whatever is under way is under way."""
-        deadline = time.monotonic() + WAIT_S
-        while (planned := persistently(self._station, lambda: planned_in(self._station, STATION))) is None:
-            if time.monotonic() > deadline:
-                raise TimeoutError("no daemon has set a plan")
-            self._listen(0.1)  # the first daemon may only just have begun
+        self._wait_until(lambda: self._planned() is not None)  # the first daemon may only just have begun
+        planned = self._planned()
+        assert planned is not None, "a daemon has set one"
         plan = next(each for each in PLANS if each.entries != planned.plan.entries)
         persistently(self._station, lambda: set_plan(self._station, STATION, plan, planned.central, _real_now()))
 
