@@ -40,7 +40,7 @@ from store import Log, LogUnavailable, back_up, open_log, restore, verify
 from store.embedded import EmbeddedServer
 from sync import Plan
 from sync.plans.entries import derived_name
-from sync.plans.planning import planned_in, set_plan
+from sync.plans.planning import Planned, planned_in, set_plan
 from tests.faults.load import WAIT_S, Process, opened, persistently
 from tests.faults.sync_load import (
     ANSWER_S_MAX,
@@ -202,6 +202,7 @@ class Campaign:
         self._hear()
         self._weather(CALM)
         heads: dict[StreamKey, int] = {}
+        self._countersigned()
         while heads != (heads := self._heads_here()):  # what the killed one had begun may still be committed
             self._caught_up(heads)
             self._listen(LOAD_S_MAX)
@@ -212,6 +213,23 @@ class Campaign:
         self._check_kept()
         self.tally.acknowledged = sum(self._ledger.values())
         self.tally.held = sum(map(len, self._seen.values()))
+
+    def _countersigned(self) -> None:
+        """Wait until central has countersigned something of the station's present life; a busy machine takes long."""
+        self._wait_until(lambda: bool(self._signatures()))
+
+    def _wait_until(self, is_so: Callable[[], bool]) -> None:
+        """Return when it is so, or has not become so for long: who needs it looks."""
+        deadline = time.monotonic() + WAIT_S
+        while not is_so() and time.monotonic() < deadline:
+            self._listen(0.1)
+
+    def _planned(self) -> Planned | None:
+        return persistently(self._station, lambda: planned_in(self._station, STATION))
+
+    def _signatures(self) -> int:
+        stream = StreamName.of(STATION, "sync", "checkpoint_countersigned")
+        return int(persistently(self._station, lambda: self._station.stream_head(stream)).sequence)
 
     # Faults.
 
@@ -265,11 +283,9 @@ class Campaign:
 
     def change_plan(self) -> None:
         """Another filter, while whatever is under way is under way."""
-        deadline = time.monotonic() + WAIT_S
-        while (planned := persistently(self._station, lambda: planned_in(self._station, STATION))) is None:
-            if time.monotonic() > deadline:
-                raise TimeoutError("no daemon has set a plan")
-            self._listen(0.1)  # the first daemon may only just have begun
+        self._wait_until(lambda: self._planned() is not None)  # the first daemon may only just have begun
+        planned = self._planned()
+        assert planned is not None, "a daemon has set one"
         plan = next(each for each in PLANS if each.entries != planned.plan.entries)
         persistently(self._station, lambda: set_plan(self._station, STATION, plan, planned.central, _real_now()))
 
@@ -483,9 +499,9 @@ class Campaign:
 
     def _check_kept(self) -> None:
         """Central has countersigned, and of each filter holds events that it leaves, in order, from the first on."""
-        signed = self._station.stream_head(StreamName.of(STATION, "sync", "checkpoint_countersigned"))
-        self.tally.countersigned += int(signed.sequence)
-        self._expect(bool(signed.sequence), "central countersigned nothing of the station's present life")
+        signed = self._signatures()
+        self.tally.countersigned += signed
+        self._expect(bool(signed), "central countersigned nothing of the station's present life")
         frames = self._frames(self._station, FILTERED)
         for index, divisor in enumerate(DIVISORS):
             held = self._frames(self._central, _derived(index))

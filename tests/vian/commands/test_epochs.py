@@ -173,19 +173,26 @@ def test_a_disk_that_was_put_back_goes_on_in_a_new_epoch_by_the_command_that_its
     assert {each["events"] for each in put_back.streams()} == {0}
 
 
-def test_what_a_put_back_disk_recorded_before_its_new_epoch_is_named_and_stays(
-    central: Central, machines: Iterator[Machine]
-) -> None:
+def recorded_apart(central: Central, machines: Iterator[Machine], *more: int) -> Machine:
+    """A machine with a put-back disk that recorded before its new epoch; central has so many more events of before."""
     before, put_back = next(machines), next(machines)
     central.enrol(before)
     before.append(20)
-    before.append(4, x=7.0)
+    for count in more:
+        before.append(count, x=7.0)
     before.sync()
     put_back.append(20)
     put_back.append(9, x=8.0)
     central.enrol(put_back)
     assert put_back.vian("station", "new-epoch").code == 0
     put_back.append(6)
+    return put_back
+
+
+def test_what_a_put_back_disk_recorded_before_its_new_epoch_is_named_and_stays(
+    central: Central, machines: Iterator[Machine]
+) -> None:
+    put_back = recorded_apart(central, machines, 4)
 
     ran = put_back.sync()
 
@@ -205,17 +212,7 @@ def test_what_a_put_back_disk_recorded_before_its_new_epoch_is_named_and_stays(
 def test_it_is_named_too_where_central_has_more_of_the_epoch_before(
     central: Central, machines: Iterator[Machine]
 ) -> None:
-    before, put_back = next(machines), next(machines)
-    central.enrol(before)
-    before.append(20)
-    before.append(4, x=7.0)
-    before.append(8, x=7.0)
-    before.sync()
-    put_back.append(20)
-    put_back.append(9, x=8.0)
-    central.enrol(put_back)
-    assert put_back.vian("station", "new-epoch").code == 0
-    put_back.append(6)
+    put_back = recorded_apart(central, machines, 4, 8)
     assert put_back.doctor()["epoch"] == "note"
 
     assert put_back.sync().code == 0
