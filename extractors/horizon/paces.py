@@ -5,7 +5,7 @@ It does not rest on the boxes' heights, so it holds where these are off by the s
 
 import numpy as np
 
-from extractors.horizon.camera import Floats, FrameSize, ground_points
+from extractors.horizon.camera import Floats, FrameSize, feet_of, ground_points
 from extractors.horizon.config import HorizonConfig
 from extractors.horizon.evidence import Evidence
 from extractors.horizon.places import Places
@@ -17,7 +17,7 @@ class Paces(Evidence):
     def __init__(self, places: Places, tracks: int, size: FrameSize, config: HorizonConfig) -> None:
         apart_s = np.diff(places.time_s)
         is_step = (np.diff(places.track) == 0) & (apart_s > 0)
-        self._from, self._to = places.foot_xy[:-1][is_step], places.foot_xy[1:][is_step]
+        self._places, self._from, self._to = places, np.flatnonzero(is_step), np.flatnonzero(is_step) + 1
         self._log_s, self._size = np.log(apart_s[is_step]), size
         track = places.track[1:][is_step]
         super().__init__(
@@ -32,7 +32,9 @@ class Paces(Evidence):
 
     def misfits(self, camera: Floats, own: Floats) -> Floats:
         """Misfits of the logarithm of the paces, camera heights per s."""
-        way = ground_points(camera[:3], self._to, self._size) - ground_points(camera[:3], self._from, self._size)
+        feet_xy = feet_of(camera[:3], self._places.middle_xy, np.exp(self._places.log_height), self._size)
+        ground = ground_points(camera[:3], feet_xy, self._size)
+        way = ground[self._to] - ground[self._from]
         log_pace = np.log(np.maximum(np.hypot(*way.T), 1e-9)) - self._log_s
         return np.asarray(log_pace - camera[5] - own[self._track])
 

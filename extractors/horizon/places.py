@@ -25,7 +25,7 @@ class Places:
     """index of the track, from 0, `(n,)`"""
     time_s: Floats
     """when the track was there, s, `(n,)`"""
-    foot_xy: Floats
+    middle_xy: Floats
     """middle of the box's lower edge, px, `(n, 2)`"""
     log_height: Floats
     """logarithm of the box's height in px, `(n,)`"""
@@ -95,7 +95,7 @@ def places_of(paths: Iterable[Path], config: HorizonConfig) -> Places:
     return Places(
         track=table[:, 0].astype(np.int64),
         time_s=table[:, 1],
-        foot_xy=table[:, 2:4],
+        middle_xy=table[:, 2:4],
         log_height=np.log(table[:, 5]),
         likeness=1 / (1 + unlike**2) ** 2,
         points=table[:, 6],
