@@ -67,7 +67,7 @@ def test_a_camera_is_calibrated_from_its_tracks_once(calibrate: Calibrate, log: 
     add_video(log)
     camera = Camera(700.0, 0.4, 0.05, 5.0, 768, 576)
     walk(log, camera)
-    ran = calibrate("--source", "cam-01", "--height-m", "5", "--json")
+    ran = calibrate("--source", "cam-01", "--camera-height-m", "5", "--json")
     assert ran.code == 0, ran.err
     told = json.loads(ran.out)
     assert (told["calibrated"], told["scale"], told["height_m"]) == (
@@ -76,7 +76,7 @@ def test_a_camera_is_calibrated_from_its_tracks_once(calibrate: Calibrate, log: 
         pytest.approx(5.0, rel=0.02),
     )
     assert told["focal_px"] == pytest.approx(camera.focal_px, rel=0.1)
-    assert "0 events appended" in calibrate("--source", "cam-01", "--height-m", "5").out
+    assert "0 events appended" in calibrate("--source", "cam-01", "--camera-height-m", "5").out
     found = rows(log, "select * from track_ground where time >= (select max(time) from camera_calibrated)")
     assert found
     assert all(row["ground_x_deviation"] > 0 and row["ground_speed_deviation"] > 0 for row in found)
@@ -134,8 +134,11 @@ def test_too_little_calibrates_nothing_and_says_why(calibrate: Calibrate, log: L
 @pytest.mark.parametrize(
     "arguments,message",
     [
-        (("--height-m", "5", "--person-height-m", "1.7"), "give one of --height-m, --length and --person-height-m"),
-        (("--height-m", "-5"), "--height-m must be a length above 0, got -5"),
+        (
+            ("--camera-height-m", "5", "--person-height-m", "1.7"),
+            "give one of --camera-height-m, --length and --person-height-m",
+        ),
+        (("--camera-height-m", "-5"), "--camera-height-m must be a length above 0, got -5"),
         (("--person-height-m", "nan"), "--person-height-m must be a length above 0, got nan"),
         (("--length", "1,2,3,4"), "--length must be X1,Y1,X2,Y2,METRES such as"),
         (("--length", "1,2,1,2,3"), "--length must be of two points apart"),
