@@ -8,7 +8,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from events import CameraCalibrated, Producer, StreamName, TrackPoint, VideoAdded, batch_of, encode
+from events import (
+    EventType,
+    Producer,
+    SceneChanged,
+    StreamName,
+    VideoAdded,
+    batch_of,
+    encode,
+)
 from extractors.calibration import Camera
 from store import Log
 from tests.events.examples import camera_calibrated, track_point
@@ -31,7 +39,7 @@ def calibrate(log: Log, run: Run) -> Calibrate:
     return invoke
 
 
-def say(log: Log, event: CameraCalibrated | TrackPoint | VideoAdded, source: str = "cam-01") -> int:
+def say(log: Log, event: EventType, source: str = "cam-01") -> int:
     """Append the event; its position."""
     stream = StreamName.of(STATION, source, type(event).type_name)
     return log.append([encode(stream, batch_of([event]), PRODUCER)], [log.stream_head(stream).sequence])[0].position
@@ -118,6 +126,37 @@ def test_a_later_calibration_edits_nothing_and_points_can_be_read_through_it(log
     assert [row["ground_x"] for row in since] == [1.0, 2.0]
     with pytest.raises(WrongUsage, match=rf"no calibration at position 99; there are: {first}, {better}"):
         rows(log, asked, calibration=99)
+
+
+def test_a_calibration_ends_where_the_camera_is_moved_and_what_is_said_later_of_a_time_counts(log: Log) -> None:
+    scale = "[[{0}, 0, 0], [0, {0}, 0], [0, 0, 1]]"
+
+    def calibrate(factor: float, second: int) -> int:
+        return say(log, camera_calibrated(time=START + timedelta(seconds=second), homography=scale.format(factor)))
+
+    add_video(log)
+    calibrate(0.1, 1)
+    for second in range(6):
+        say(log, track_point(time=START + timedelta(seconds=second), x=10.0, y=20.0))
+    for cause, second in (("moved", 3), ("unknown", 5)):
+        values: dict[str, Any] = {"cause": cause, "changed_share": 1.0, "dx": None, "dy": None}
+        say(log, SceneChanged(time=START + timedelta(seconds=second), **values))
+    calibrate(0.2, 4)
+    asked = "select round(ground_x * 7.68, 3) as x from track_ground order by time"  # of 768 px for 100
+    assert [row["x"] for row in rows(log, asked)] == [None, 1.0, 1.0, None, 2.0, 2.0]
+    calibrate(0.3, 0)  # of the whole of the first view, said afterwards
+    assert [row["x"] for row in rows(log, asked)] == [3.0, 3.0, 3.0, None, 2.0, 2.0]
+
+
+def test_points_are_scaled_from_the_size_that_their_frames_had(log: Log) -> None:
+    add_video(log)
+    say(log, camera_calibrated(time=START, homography="[[1, 0, 0], [0, 1, 0], [0, 0, 1]]", width=768, height=576))
+    say(log, track_point(time=START, x=10.0, y=20.0))
+    size: dict[str, Any] = {"width": 1536, "height": 576, "fps": 5.0, "frames_expected": 100, "codec": "h264"}
+    say(log, VideoAdded(time=START, video="01", path="v", started_at=START, **size))
+    say(log, track_point(time=START, x=10.0, y=20.0))
+    found = [(row["ground_x"], row["ground_y"]) for row in rows(log, "select * from track_ground order by position")]
+    assert found == [(10.0, 20.0), (5.0, 20.0)]
 
 
 def test_too_little_calibrates_nothing_and_says_why(calibrate: Calibrate, log: Log) -> None:
