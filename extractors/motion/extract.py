@@ -157,7 +157,7 @@ class _Motion:
         """Find and follow what moves in one more frame."""
         dt_s = self._dt_s(frame)
         self._frames, self._last = self._frames + 1, frame
-        factor = max(1, frame.image.shape[0] // self._config.analysis_lines)
+        factor = self._factor_of(frame.image)
         image = shrunk(frame.image, factor)
         view = self._view(frame, image, dt_s)
         if not view.is_kept:
@@ -242,11 +242,11 @@ class _Motion:
     def _restart(self, frame: Frame) -> None:
         self._stop("input_changed")
         self._shape = frame.image.shape
-        height, width = self._shape[:2]
-        self._factor = max(1, height // self._config.analysis_lines)
+        self._factor = self._factor_of(frame.image)
+        height, width = shrunk(frame.image, self._factor).shape[:2]
         self._background = Background(self._config)
         self._sizes = None
-        self._tracks = Tracks(self._config, width // self._factor, height // self._factor, self._next_track_id)
+        self._tracks = Tracks(self._config, width, height, self._next_track_id)
 
     def _stop(self, reason: EndReason) -> None:
         if self._tracks is not None:
@@ -254,21 +254,25 @@ class _Motion:
             self._next_track_id = self._tracks.next_track_id
             self._tracks = None
 
+    def _factor_of(self, image: Image) -> float:
+        """Pixels of the picture for one of the analysed picture."""
+        return max(1.0, min(image.shape[:2]) / self._config.analysis_lines)
+
     def _dt_s(self, frame: Frame) -> float:
         since_us = frame.time_us - self._last.time_us if self._last else 0
         return min(since_us / 1e6, DT_MAX_S)
 
 
-def unseen(image: Image, factor: int) -> Seen:
+def unseen(image: Image, factor: float) -> Seen:
     """What is made of a picture of a camera that does not rest: nothing."""
     foreground = Foreground(np.zeros(image.shape[:2], np.uint8), 0.0, is_light_change=False)
     nobody = Observed((), np.zeros((0, 6)), np.zeros(0), ())
     return Seen(factor, foreground, np.zeros((0, 4)), nobody)
 
 
-def shrunk(image: Image, factor: int) -> Image:
-    """The picture, smaller by a whole factor; its pixels are means of the picture's."""
+def shrunk(image: Image, factor: float) -> Image:
+    """The picture, smaller by a factor; its pixels are means of the picture's."""
     if factor == 1:
         return image
-    size = (image.shape[1] // factor, image.shape[0] // factor)
+    size = (round(image.shape[1] / factor), round(image.shape[0] / factor))
     return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
