@@ -13,8 +13,8 @@ Floats = npt.NDArray[np.float64]
 
 STRIDE_HEIGHTS = 0.85
 """Way of two steps, body heights: 1.4 m for an adult."""
-SWING_HEIGHTS = 0.17
-"""How far a foot is before or behind the hip at most, body heights."""
+SWING_HEIGHTS = 0.2
+"""How far a foot is before or behind the hip at most, body heights: a step is 0.4 of the height."""
 FACES = ((0, 1, 2, 3), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7))
 """Corners of the faces of a solid: below, above, and the four sides, each around its face."""
 SHADES = (0.5, 1.15, 1.0, 0.8, 1.0, 0.8)
@@ -32,7 +32,7 @@ class Solid:
 
 
 def person(height_m: float, walked_m: float) -> tuple[Solid, ...]:
-    """Head, trunk and two legs that walk; feet are on the ground, the top of the head is `height_m` above it.
+    """Head, trunk and two legs that walk, as wide and deep as those of people; feet are on the ground, the top of the head is `height_m` above it.
 
     Args:
         height_m: m.
@@ -41,11 +41,11 @@ def person(height_m: float, walked_m: float) -> tuple[Solid, ...]:
     h = height_m
     swing = SWING_HEIGHTS * h * np.sin(2 * np.pi * walked_m / (STRIDE_HEIGHTS * h))
     left, right = (
-        _box((0.12 * h, 0.10 * h), (0.0, 0.49 * h), (0.0, side * 0.07 * h), foot_x=side * swing, tone=0.7)
+        _box((0.12 * h, 0.08 * h), (0.0, 0.49 * h), (0.0, side * 0.05 * h), foot_x=side * swing, tone=0.7)
         for side in (1, -1)
     )
-    trunk = _box((0.15 * h, 0.27 * h), (0.46 * h, 0.86 * h))
-    head = _box((0.12 * h, 0.11 * h), (0.85 * h, h), tone=1.25)
+    trunk = _box((0.14 * h, 0.26 * h), (0.46 * h, 0.86 * h))
+    head = _box((0.10 * h, 0.09 * h), (0.85 * h, h), tone=1.25)
     return left, right, trunk, head
 
 
