@@ -2,8 +2,8 @@
 
     python -m benchmarks.rendered [--plot docs/gallery/rendered-decay.svg]
 
-The whole way: video, motion, horizon, calibration; truth is exact. Two cameras, one draw of people each: what one sees is
-the trend, and where it ends.
+The whole way: video, motion, horizon, calibration; truth is exact. Two cameras, one draw of people each: what one sees
+is the trend, and where nothing is said any more.
 """
 
 import argparse
@@ -48,7 +48,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def _found(camera: Camera, noise_levels: float, blur_px: float) -> Rendered:
-    scene = square(camera, people=10, apart_s=2.0, noise_levels=noise_levels, blur_px=blur_px)
+    scene = square(camera, people=16, apart_s=2.0, noise_levels=noise_levels, blur_px=blur_px)
     with tempfile.TemporaryDirectory() as folder:
         return rendered(scene, Path(folder) / "square.mp4")
 
@@ -75,7 +75,7 @@ def _plot(found: dict[str, tuple[list[Rendered], list[Rendered]]], target: Path)
         ):
             for name, both in found.items():
                 rows = both[number]
-                errors = [100 * row.horizon_error for row in rows]
+                errors = [100 * row.horizon_error if row.horizon else np.nan for row in rows]
                 reach = [1.96 * 100 * _deviation(row) for row in rows]
                 (line,) = axes.plot(values, errors, marker="o", label=name)
                 axes.plot(values, reach, color=line.get_color(), linestyle=":", linewidth=1)

@@ -54,7 +54,7 @@ def test_true_boxes_are_the_scenes() -> None:
 @pytest.mark.parametrize("name", ["rolled, horizon above the picture", "portrait"])
 def test_pictures_give_a_horizon_a_height_and_speeds(name: str, tmp_path: Path) -> None:
     """Bounds are about twice of what is reached: boxes here have depth, gaits, noise and the extractor's own errors."""
-    found = rendered(square(CAMERAS[name], people=10, apart_s=2.0), tmp_path / "square.mp4")
-    assert found.horizon_error < 0.025
+    found = rendered(square(CAMERAS[name], people=14, apart_s=2.0), tmp_path / "square.mp4")
+    assert found.horizon_error < 0.03
     assert found.height_error < 0.10
     assert found.speed_error < 0.20
