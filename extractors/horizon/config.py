@@ -59,9 +59,9 @@ class HorizonConfig(BaseModel):
     one line they do not"""
     noise_max: Positive = 0.1
     """largest typical error of a box's edge (share of its height): beyond it these are no objects on a plane"""
-    moved_deviations: Positive = 0.5
+    moved_deviations: Positive = 0.25
     """an estimate is emitted anew when it has moved by so many of its standard deviations ..."""
-    firmed_share: Share = 0.8
+    firmed_share: Share = 0.9
     """... or when its standard deviation has shrunk to this share"""
 
     moving_tracks_min: Annotated[int, Field(ge=3)] = 4

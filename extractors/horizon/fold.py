@@ -97,7 +97,7 @@ class Horizon:
         self.flush()
         for number in list(self._open):
             self._close(number)
-        self._estimate()
+        self._estimate(is_last=True)
 
     def take(self) -> tuple[EventBatch, ...]:
         """What came out since the last call: votes, then estimates; empty where there is nothing to say."""
@@ -168,15 +168,15 @@ class Horizon:
                 )
             )
 
-    def _estimate(self) -> None:
-        """Say what the estimate is, if it is one and has moved or firmed up."""
+    def _estimate(self, *, is_last: bool = False) -> None:
+        """Say what the estimate is, if it is one and has moved or firmed up; the last one in any case."""
         found = self._found() if self._is_changed else None
         self._is_changed = False
         if found is None:
             return
         if self._on_estimate is not None:
             self._on_estimate(self._last_us, found)
-        if found.doubt or not self._is_news(found.fit):
+        if found.doubt or not (is_last or self._is_news(found.fit)):
             return
         fit, self._said = found.fit, found.fit
         (slope_variance, covariance), (_, offset_variance) = fit.line_covariance
