@@ -4,8 +4,8 @@ Contract: points in, in order of time; `camera_calibrated` out. What comes out d
 their order, and not on how they were cut into batches. Memory is bounded by the configuration. A scene that does not
 decide the camera gets no event: its horizon is not decided, its camera is known too widely, or nothing gives metres.
 
-The camera is the horizon's: a fold of its own finds it, or one that runs anyway hands its estimates in (`heed`), so
-that there is one fit for both.
+The camera is the horizon's: a fold of its own finds it, or a horizon that runs anyway is shared, so that there is one
+fit for both.
 """
 
 import json
@@ -30,11 +30,29 @@ _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 class CalibrationFold:
     """The camera of one source, from its track points and horizons."""
 
-    def __init__(self, config: CalibrationConfig, frame_size: tuple[int, int], scale: Scale | None = None) -> None:
+    def __init__(
+        self,
+        config: CalibrationConfig,
+        frame_size: tuple[int, int],
+        scale: Scale | None = None,
+        *,
+        shared: HorizonFold | None = None,
+    ) -> None:
+        """Begin with nothing.
+
+        Args:
+            config: The parameters.
+            frame_size: Width and height of the frames, px.
+            scale: Where metres come from; the mean height of people by default.
+            shared: A horizon of the same tracks that runs anyway: who runs it gives it its points, ends it and lets it
+                forget, and its estimates are taken here.
+        """
         self._config = config
         self._size = frame_size
         self._scale = scale or PersonHeight(config.person_height_m, config.person_spread_m)
-        self._tracks = HorizonFold(FrameSize(*frame_size), config.camera, on_estimate=self.heed)
+        self._tracks = shared or HorizonFold(FrameSize(*frame_size), config.camera)
+        self._tracks.on_estimate = self._heed
+        self._is_shared = shared is not None
         self._horizon: Horizon | None = None
         self._said: Estimate | None = None
         self._events: list[CameraCalibrated] = []
@@ -42,8 +60,9 @@ class CalibrationFold:
         """why the newest estimate was not said"""
 
     def add(self, batch: EventBatch) -> None:
-        """Take a batch of the source's events: track points, and that the camera was moved; others say nothing."""
-        self._tracks.take_in(batch)
+        """Take a batch of `track_point`; of a shared horizon it has taken them itself."""
+        if not self._is_shared:
+            self._tracks.take_in(batch)
 
     def add_points(
         self, time_us: NDArray[np.int64], track_id: NDArray[np.int64], boxes_xyxy: Floats, confidence: Floats
@@ -56,7 +75,8 @@ class CalibrationFold:
             boxes_xyxy: `x1 y1 x2 y2`, px of the whole frame, `(n, 4)`.
             confidence: 0 (predicted) to 1 (seen), `(n,)`.
         """
-        self._tracks.add(TrackPoints(time_us, track_id, np.zeros_like(track_id), boxes_xyxy, confidence))
+        if not self._is_shared:
+            self._tracks.add(TrackPoints(time_us, track_id, np.zeros_like(track_id), boxes_xyxy, confidence))
 
     def add_horizon(self, horizon: Horizon) -> None:
         """Take a horizon that is known otherwise, not from these very tracks; it stands in for those before it."""
@@ -64,38 +84,21 @@ class CalibrationFold:
 
     def restart(self) -> None:
         """Forget all tracks and horizons: the camera was moved."""
-        self._tracks.forget()
+        if not self._is_shared:
+            self._tracks.forget()
         self._horizon = self._said = None
-
-    def heed(self, time_us: int, found: HorizonFound) -> None:
-        """Say the camera of a horizon's estimate if it is worth saying.
-
-        Args:
-            time_us: When it was made, µs since 1970 (UTC).
-            found: The estimate.
-        """
-        if found.doubt and self._horizon is None:
-            self._reason = found.doubt
-            return
-        try:
-            camera = estimate(found.fit, self._size, self._config, self._scale, self._horizon)
-        except CalibrationError as error:
-            self._reason = str(error)
-            return
-        self._reason = self._doubt(camera) or self._sameness(camera)
-        if not self._reason:
-            self._said = camera
-            self._events.append(self._event(time_us, camera))
 
     def take(self) -> tuple[EventBatch, ...]:
         """The events since the last call."""
-        self._tracks.take()
+        if not self._is_shared:
+            self._tracks.take()
         events, self._events = self._events, []
         return (batch_of(events),) if events else ()
 
     def finish(self) -> tuple[EventBatch, ...]:
-        """Look once more at all that came, and take."""
-        self._tracks.finish()
+        """Look once more at all that came, say what it comes to, and take."""
+        if not self._is_shared:
+            self._tracks.finish()
         return self.take()
 
     @property
@@ -107,6 +110,21 @@ class CalibrationFold:
     def reason(self) -> str:
         """Why the last look said nothing new; for people."""
         return self._tracks.reason or self._reason
+
+    def _heed(self, time_us: int, found: HorizonFound, is_last: bool) -> None:
+        """Say the camera of a horizon's estimate if it is worth saying; the last one in any case."""
+        if found.doubt and self._horizon is None:
+            self._reason = found.doubt
+            return
+        try:
+            camera = estimate(found.fit, self._size, self._config, self._scale, self._horizon)
+        except CalibrationError as error:
+            self._reason = str(error)
+            return
+        self._reason = self._doubt(camera) or ("" if is_last else self._sameness(camera))
+        if not self._reason:
+            self._said = camera
+            self._events.append(self._event(time_us, camera))
 
     def _doubt(self, found: Estimate) -> str:
         """Why the estimate is not good enough to be said; empty if it is."""

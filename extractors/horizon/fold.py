@@ -44,17 +44,8 @@ class Estimate:
 class Horizon:
     """Folds track points into votes and estimates."""
 
-    def __init__(
-        self, size: FrameSize, config: HorizonConfig, *, on_estimate: Callable[[int, Estimate], None] | None = None
-    ) -> None:
-        """Begin with nothing.
-
-        Args:
-            size: Of the frames.
-            config: The parameters.
-            on_estimate: Told each estimate and its time (µs since 1970, UTC), also of those in doubt or no news.
-        """
-        self._size, self._config, self._on_estimate = size, config, on_estimate
+    def __init__(self, size: FrameSize, config: HorizonConfig) -> None:
+        self._size, self._config = size, config
         self._update_us = round(config.update_s * 1e6)
         self._open: dict[int, Path] = {}
         self._closed: list[Path] = []
@@ -67,6 +58,8 @@ class Horizon:
         self._last_us = 0
         self._held: TrackPoints | None = None
         self._is_changed = False
+        self.on_estimate: Callable[[int, Estimate, bool], None] | None = None
+        """told each estimate, also in doubt or no news: its time (µs since 1970, UTC), and whether it is the last"""
         self.reason = "no track has moved yet"
         """why the last look found no line, for people; empty if it did"""
         self.frames = 0
@@ -174,8 +167,8 @@ class Horizon:
         self._is_changed = False
         if found is None:
             return
-        if self._on_estimate is not None:
-            self._on_estimate(self._last_us, found)
+        if self.on_estimate is not None:
+            self.on_estimate(self._last_us, found, is_last)
         if found.doubt or not (is_last or self._is_news(found.fit)):
             return
         fit, self._said = found.fit, found.fit
