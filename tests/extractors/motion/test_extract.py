@@ -12,7 +12,7 @@ from events import ActivityInterval, Appearance, TrackEnded, TrackPoint
 from extractors import scene
 from extractors.errors import DecoderDied
 from extractors.media import Frame, Gap, GapReason
-from extractors.motion import MotionConfig, Seen, extract
+from extractors.motion import Extraction, MotionConfig, Seen, extract
 from extractors.video import frames
 from tests.extractors.films import film_of_two_sizes
 from tests.extractors.motion.runs import START, Run, run, scored
@@ -165,7 +165,8 @@ def test_a_video_that_fails_in_the_middle_gives_a_prefix_of_the_whole(street_fra
         yield from street_frames[:75]
         raise DecoderDied("gone")
 
-    whole, part = run(short(street_frames, 120)), []
+    whole = run(short(street_frames, 120))
+    part: list[Extraction] = []
     with pytest.raises(DecoderDied, match="gone"):
         part.extend(extract(failing(), MotionConfig(), start_time=START))
     broken = Run(part)
