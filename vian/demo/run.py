@@ -7,8 +7,9 @@ its end it appends nothing and shows the same.
 """
 
 import hashlib
+import logging
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from functools import partial
@@ -23,7 +24,7 @@ from events import station_name
 from patterns.engine.compiling import compiling_beside
 from patterns.errors import PatternError
 from patterns.files.rule import Rule
-from patterns.processor import Processor, deploy
+from patterns.processor import Processor, deploy, passes
 from store import Log, Projector, StationKey, Verification, verify
 from sync.central.access import REPLICATE, Access
 from sync.protocol.enrolment import new_secret
@@ -187,6 +188,8 @@ def _run_together(
         )
     )
     stack.enter_context(compiling_beside())
+    if any(clip.origin is Origin.SQUARE for clip in rules):
+        stack.enter_context(_said_of_metres(output))
     processor = Processor(station, STATION, [rule for own in rules.values() for rule in own])
     projectors = [Projector(station), Projector(central)]
     parts = [
@@ -210,6 +213,22 @@ def _extracted(station: Log, clip: Clip, running: Parts, output: Output) -> Extr
             bar.at(done, expected)
 
         return extract_motion(_job(station, clip, show, output))
+
+
+@contextmanager
+def _said_of_metres(output: Output) -> Iterator[None]:
+    """In place of the processor's warnings of sources without metres, a word that this is meant."""
+    output.note("speeds of the square are known from when enough people have crossed it to calibrate its camera")
+    logger = logging.getLogger(passes.__name__)
+    logger.addFilter(_is_not_of_metres)
+    try:
+        yield
+    finally:
+        logger.removeFilter(_is_not_of_metres)
+
+
+def _is_not_of_metres(record: logging.LogRecord) -> bool:
+    return "asks for metres" not in str(record.msg)
 
 
 class _Clock:
