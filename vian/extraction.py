@@ -508,12 +508,13 @@ def _say_interrupted(job: Job, added: VideoAdded, killed: ProcessStarted, progre
 
 
 def _start(job: Job, added: VideoAdded, process: str) -> tuple[ProcessStarted, int]:
+    configuration = job.config.model_dump(mode="json") | job.options | job.camera.description
     event = ProcessStarted(
         time=job.stamp(added.started_at),
         process=process,
         extractor=motion.NAME,
         extractor_version=motion.VERSION,
-        configuration=json.dumps(job.config.model_dump(mode="json") | job.options, sort_keys=True),
+        configuration=json.dumps(configuration, sort_keys=True),
         video=added.video,
     )
     return event, _append_first(job, event)
