@@ -1,8 +1,8 @@
 """What the tracks of a camera say of it while they are made: its horizon and its calibration.
 
 Contract: batches of one source in, as motion gives them; votes, estimates and calibrations out, the same however often
-it is run. Horizon and calibration are found from the same batches and do not know each other: a horizon that comes
-from these very tracks would count them twice. Where the view or the frame's size changes, both begin anew.
+it is run. Horizon and calibration come from one fit where both are looked for. Where the view or the frame's size
+changes, both begin anew.
 
 A calibration is said where it beats the one that stands: after a pause of the camera or in another video few tracks are
 known again, and what many tracks said before is better as long as the two agree.
@@ -117,7 +117,7 @@ class CameraFolds:
         config, self.size = self._config, size
         self._horizon = Horizon(size, config.horizon) if config.horizon else None
         self._calibration = (
-            CalibrationFold(config.calibration, (size.width, size.height), self._scale(size))
+            CalibrationFold(config.calibration, (size.width, size.height), self._scale(size), shared=self._horizon)
             if config.calibration
             else None
         )
