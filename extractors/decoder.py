@@ -22,6 +22,7 @@ from typing import Any, BinaryIO
 import av
 import av.error
 from av.container import InputContainer
+from av.video.codeccontext import VideoCodecContext
 
 from extractors import folder
 from extractors.clocks import Clock, MediaClock, WallClock
@@ -89,7 +90,7 @@ def send(request: Request, out: Writable) -> None:
 def _send_stream(request: Request, outlet: Outlet) -> None:
     try:
         container = _open(request)
-    except (av.error.FFmpegError, _NoVideo) as error:
+    except (av.error.FFmpegError, VideoUnreadable, _NoVideo) as error:
         outlet.json(Kind.REFUSED, error=_said(error))
         return
     with container:
@@ -119,7 +120,7 @@ def _send_folder(request: Request, outlet: Outlet) -> None:
     for path, time_us in zip(paths, times, strict=True):
         try:
             sender.send(_read_picture(path, request), _Told(time_us))
-        except (av.error.FFmpegError, StopIteration) as error:
+        except (av.error.FFmpegError, VideoUnreadable, StopIteration) as error:
             sender.corrupt(f"{path.name}: {_said(error) or 'no picture'}")
     sender.end(None)
 
@@ -283,9 +284,27 @@ def _open(request: Request) -> InputContainer:
         container.close()
         raise _NoVideo("it holds no video stream")
     context = container.streams.video[0].codec_context
+    try:
+        _limit_size(context, request)
+    except VideoUnreadable:
+        container.close()
+        raise
     context.thread_count = request.threads
-    context.options = {"max_pixels": str(request.pixels_max)}
     return container
+
+
+def _limit_size(context: VideoCodecContext, request: Request) -> None:
+    """Let it decode no picture that is too large.
+
+    Raises:
+        VideoUnreadable: It says itself that its pictures are.
+    """
+    if context.width * context.height > request.pixels_max:
+        raise VideoUnreadable(
+            f"{request.place}: pictures of {context.width}x{context.height} px are too large, at most "
+            f"{request.pixels_max:,} px in all are decoded. Next: make it smaller with a tool you trust"
+        )
+    context.options = {"max_pixels": str(request.pixels_max)}
 
 
 def _way(request: Request) -> tuple[str, str | None, dict[str, str]]:
@@ -311,12 +330,13 @@ def _read_picture(path: Path, request: Request) -> av.VideoFrame:
 
     Raises:
         FFmpegError: It does not decode.
+        VideoUnreadable: It is too large.
         StopIteration: It holds none.
     """
     form = folder.ENDINGS[path.suffix.lower()]
     options = {"protocol_whitelist": "file"}
     with av.open(f"file:{path}", format=form, container_options=options) as file:
-        file.streams.video[0].codec_context.options = {"max_pixels": str(request.pixels_max)}
+        _limit_size(file.streams.video[0].codec_context, request)
         return next(frame for frame in file.decode(video=0) if not frame.is_corrupt)
 
 

@@ -12,6 +12,7 @@ on behind the last stored sequence, and says what lies between as an interruptio
 import hashlib
 import json
 import os
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass, field
@@ -73,6 +74,11 @@ _SAID_BY_A_PROCESS = (
 
 PROGRESS_EVERY_S = 10.0
 """Media time between two `process_progressed`, in seconds."""
+
+NOTES_OF_A_KIND_MAX = 5
+"""So many gaps of one kind are told while the work goes on; all of them are in the log."""
+
+_ALL_NOTES = 'vian query "select source, time, note from process_progressed"'
 
 _YEARS = range(1970, 2200)
 """Years in which a video can have been recorded: clocks that were never set say 1904, or 9999."""
@@ -241,6 +247,7 @@ class _Run:
         self._time_us = 0
         self._events = 0
         self._gaps = 0
+        self._told: Counter[GapReason] = Counter()
         self._progress_due_s = PROGRESS_EVERY_S
         self._horizon = Horizon(FrameSize(info.width, info.height), job.horizon) if job.horizon else None
 
@@ -280,8 +287,18 @@ class _Run:
         self._gaps += len(step.gaps)
         batches = [*found, *self._remarks(step), *self._of_the_stream(step.gaps)]
         self._append(batches)
+        self._tell(step.gaps)
         if self._job.on_progress is not None:
             self._job.on_progress(self._frames, None if self._job.shape.fps else self._info.frames_expected)
+
+    def _tell(self, gaps: Iterable[Gap]) -> None:
+        """Tell people of the gaps, but not of each where there are very many of a kind."""
+        for gap in gaps:
+            self._told[gap.reason] += 1
+            if self._told[gap.reason] <= NOTES_OF_A_KIND_MAX:
+                self._job.note(str(gap))
+            elif self._told[gap.reason] == NOTES_OF_A_KIND_MAX + 1:
+                self._job.note(f"{gap.reason}: more of the kind are not told here, but recorded. Next: {_ALL_NOTES}")
 
     def _of_the_stream(self, gaps: Iterable[Gap]) -> Iterator[EventBatch]:
         """What is to be said of the live stream itself: that it was interrupted, came back, or has another size."""

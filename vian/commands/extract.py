@@ -22,7 +22,7 @@ from vian.errors import WrongUsage
 from vian.extraction import Extraction, Job, extract_motion
 from vian.horizon_extraction import HorizonExtraction, HorizonJob, extract_horizon
 from vian.options import has_zone, opened, settings_for, time_of
-from vian.output import Output
+from vian.output import Output, counted
 from vian.settings import Settings
 
 app = typer.Typer(help="Run an extractor on a video or on tracks; its events go into the log.", no_args_is_help=True)
@@ -248,8 +248,8 @@ def report(output: Output, extraction: Extraction) -> None:
         "was_done": extraction.was_done,
     }
     text = (
-        f"process {extraction.process}: {extraction.frames} frames, {extraction.events} events found besides the "
-        f"process's own, {extraction.gaps} gaps"
+        f"process {extraction.process}: {counted(extraction.frames, 'frame')}, {counted(extraction.events, 'event')} "
+        f"found besides the process's own, {counted(extraction.gaps, 'gap')}"
     )
     if not extraction.events:
         text += ": nothing moved that was large and steady enough"
