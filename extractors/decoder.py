@@ -321,7 +321,10 @@ def _way(request: Request) -> tuple[str, str | None, dict[str, str]]:
         "fpsprobesize": "0",  # the rate is of no use here, and takes frames to learn
     }
     if scheme.startswith("rtsp"):
-        options["rtsp_transport"] = "tcp"  # what is lost on the way is sent again, and no firewall is in it
+        # What is lost on the way is sent again, and no firewall is in it; UDP for cameras that know nothing else.
+        options["rtsp_flags"] = "prefer_tcp"
+    if request.ca_file is not None:
+        options |= {"tls_verify": "1", "ca_file": request.ca_file}
     return request.place, None, options
 
 

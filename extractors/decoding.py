@@ -117,8 +117,10 @@ class Decoding:
             if "Next: " in said:
                 raise VideoUnreadable(said)
             kind = "live stream" if self._request.is_live else "video"
+            ca_file = self._request.ca_file
+            vouched = f"; does {ca_file} hold its certificate, and the certificate its name?" if ca_file else ""
             raise VideoUnreadable(
-                f"{self._name}: not a {kind} that can be opened ({said}); {_WANTED[self._request.medium]}"
+                f"{self._name}: not a {kind} that can be opened ({said}); {_WANTED[self._request.medium]}{vouched}"
             )
         return content
 

@@ -131,6 +131,8 @@ class Job:
     shape: Shape = field(default_factory=Shape)
     ignored: motion.IgnoredArea | None = None
     live: LiveLimits = field(default_factory=LiveLimits)
+    ca_file: Path | None = None
+    """certificates that a live stream over TLS must have one of, or of those whom they vouch for; None: any will do"""
     stamp: Stamp = wall_clock
     run: int = 1
     """1 for the first time, more for a repetition of the same extraction as a new process"""
@@ -171,7 +173,13 @@ def extract_motion(job: Job) -> Extraction:
     """
     station_name(job.station), source_name(job.source)
     if isinstance(job.path, Address):
-        with Live(job.path, job.live, job.shape, is_stopped=job.is_stopped) as live, _alone(job):
+        if job.path.is_over_tls and job.ca_file is None:
+            job.note(
+                f"{job.path.shown}: nobody checks the camera's certificate, so whoever answers gets the login. "
+                "Next: VIAN_LIVE_CA_FILE=FILE with its certificate"
+            )
+        live = Live(job.path, job.live, job.shape, ca_file=job.ca_file, is_stopped=job.is_stopped)
+        with live, _alone(job):
             return _extract_live(job, live)
     info = video.probe(job.path, shape=job.shape)
     with _alone(job):

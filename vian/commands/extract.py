@@ -111,6 +111,7 @@ def motion(
                 shape=shape,
                 ignored=ignored,
                 live=_live_limits(settings),
+                ca_file=_ca_file(settings),
                 run=again,
                 database_wait_s=settings.database_wait_s,
                 on_progress=show,
@@ -223,6 +224,17 @@ def _live_limits(settings: Settings) -> LiveLimits:
         give_up_s=settings.live_give_up_h * 3600,
         queue_frames=settings.live_queue_frames,
     )
+
+
+def _ca_file(settings: Settings) -> Path | None:
+    """The certificates that count for cameras, as an absolute path that can be read."""
+    if settings.live_ca_file is None:
+        return None
+    try:
+        settings.live_ca_file.read_bytes()
+    except OSError as error:
+        raise WrongUsage(f"live_ca_file {settings.live_ca_file} cannot be read: {error.strerror}") from error
+    return settings.live_ca_file.absolute()
 
 
 def _stop_on_signals() -> threading.Event:

@@ -41,6 +41,12 @@ def test_a_video_in_which_nothing_moves_says_so(log: Log, run: Run, tmp_path: Pa
     assert "12 frames, 0 events found besides the process's own, 0 gaps: nothing moved that was large" in ran.out
 
 
+def test_certificates_that_are_not_there_are_told(log: Log, run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("VIAN_LIVE_CA_FILE", "gone.pem")
+    ran = run("extract", "motion", "rtsps://127.0.0.1:9/1", "--source", "gate", "--dsn", log.dsn)
+    assert (ran.code, "live_ca_file gone.pem cannot be read: No such file" in ran.words) == (2, True)
+
+
 def test_what_is_odd_of_the_pictures_is_told_while_the_work_goes_on(log: Log, run: Run, tmp_path: Path) -> None:
     upright = turned(film(tmp_path / "film.mp4", frames=12))
     ran = run("extract", "motion", upright, "--source", "gate", "--dsn", log.dsn)
