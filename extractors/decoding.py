@@ -198,9 +198,10 @@ class Decoding:
 
     def _died(self, how: str) -> DecoderDied:
         said = self._redact(_last_line(self._complaints))
+        next_step = "look at it in a player" if self._request.is_live else "re-encode the video with a tool you trust"
         return DecoderDied(
             f"{self._name}: the decoder {how}{f' ({said})' if said else ''} after {self._last_frame()}; "
-            "all frames before that were given. Next: re-encode the video with a tool you trust"
+            f"all frames before that were given. Next: {next_step}"
         )
 
     def _last_frame(self) -> str:
