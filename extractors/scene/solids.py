@@ -32,7 +32,9 @@ class Solid:
 
 
 def person(height_m: float, walked_m: float) -> tuple[Solid, ...]:
-    """Head, trunk and two legs that walk, as wide and deep as those of people; feet are on the ground, the top of the head is `height_m` above it.
+    """Head, trunk and two legs that walk, as wide and deep as those of people.
+
+    Feet are on the ground, the top of the head is `height_m` above it.
 
     Args:
         height_m: m.
