@@ -123,7 +123,7 @@ class HorizonConfig(BaseModel):
     """degrees of freedom of Student's t for changes of pace: people stop"""
     pace_floor: Positive = 0.06
     """smallest typical change of pace that is believed (standard deviation of the logarithm)"""
-    chord: Positive = 0.75
+    pace_stretch: Positive = 0.75
     """length in the picture of a stretch over which a pace is taken, box heights: over shorter ones the foot's noise
     and the swing of legs make ways seem longer, most so along the view"""
     pace_weight: Annotated[float, Field(gt=0, le=1)] = 0.4
