@@ -16,6 +16,9 @@ from extractors.horizon.camera import Floats
 DIFFERENCE = 1e-5
 """Step of numeric derivatives; the models are smooth and their values of order one."""
 
+CURVATURE_MIN = 0.2
+"""Below this share of the weights' Hessian most misfits are outliers, and no interval would hold."""
+
 
 @dataclass(frozen=True, slots=True)
 class Belief:
@@ -99,19 +102,27 @@ class Evidence(ABC):
         """How usual each track's own unknown is, 0 to 1, `(tracks,)`."""
         return self._own_tail / (self._own_tail + (belief.own / self._own_spread) ** 2)
 
-    def part(self, camera: Floats, belief: Belief, misfits: Floats, track_weights: Floats) -> Part:
-        """Normal equations at this camera."""
+    def part(
+        self, camera: Floats, belief: Belief, misfits: Floats, track_weights: Floats, *, is_last: bool = False
+    ) -> Part:
+        """Normal equations at this camera.
+
+        With `is_last` the Hessian is the mean one of the robust costs instead of their weights', which is larger: for
+        Student's t by (v + 3) / (v + 1). Steps need the one, intervals the other (Huber 1981, section 7.6).
+        """
         jacobian = self._jacobian(camera, belief.own, misfits)
         by_own = (misfits - self.misfits(camera, belief.own + DIFFERENCE)) / DIFFERENCE
         robust = (self._tail + 1) / (self._tail + (misfits / belief.noise) ** 2) / belief.noise**2
         weights = self._weight * track_weights[self._track] * robust
         own_weights = self.own_weights(belief) * (self._own_tail + 1) / self._own_tail / self._own_spread**2
-        own_hessian = self._sums(weights * by_own**2) + own_weights
         own_gradient = self._sums(weights * by_own * misfits) - own_weights * belief.own
+        gradients = self._sums_of((weights * misfits)[:, None] * jacobian)
+        if is_last:
+            weights = weights * _curvature(weights, misfits / belief.noise, self._tail)
+            own_weights = own_weights * _curvature(own_weights, belief.own / self._own_spread, self._own_tail)
+        own_hessian = self._sums(weights * by_own**2) + own_weights
         coupling = self._sums_of((weights * by_own)[:, None] * jacobian)
-        scores = (
-            self._sums_of((weights * misfits)[:, None] * jacobian) - coupling * (own_gradient / own_hessian)[:, None]
-        )
+        scores = gradients - coupling * (own_gradient / own_hessian)[:, None]
         size = len(camera)
         products = (weights[:, None, None] * jacobian[:, :, None] * jacobian[:, None, :]).reshape(-1, size * size)
         hessians = self._sums_of(products).reshape(-1, size, size)
@@ -130,3 +141,11 @@ class Evidence(ABC):
 
     def _sums_of(self, columns: Floats) -> Floats:
         return np.stack([self._sums(column) for column in columns.T], axis=1)
+
+
+def _curvature(weights: Floats, ratios: Floats, tail: float) -> float:
+    """Mean second derivative of Student's cost over the mean weight, 0 to 1."""
+    if not len(ratios) or not weights.sum() > 0:
+        return 1.0
+    share = np.average((tail - ratios**2) / (tail + ratios**2), weights=weights)
+    return float(max(share, CURVATURE_MIN))

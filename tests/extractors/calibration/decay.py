@@ -50,7 +50,7 @@ def _errors(camera: Camera, noise: float) -> list[float]:
     errors = []
     for seed in range(DRAWS):
         seen = walks(camera, noise_share=noise, seed=seed)
-        fold = CalibrationFold(CalibrationConfig(), (camera.width, camera.height))
+        fold = CalibrationFold(CalibrationConfig.of_boxes(), (camera.width, camera.height))
         fold.add_points(seen.time_us, seen.track_id, seen.boxes_xyxy, seen.confidence)
         fold.finish()
         errors.append(float("nan") if fold.said is None else homography_error(camera, fold.said.camera))
