@@ -75,8 +75,8 @@ def read_camera(path: Path) -> TsaiCamera:
         said = {name: float(_element(root, tag).attrib[name]) for tag, names in _ELEMENTS.items() for name in names}
     except (ElementTree.ParseError, KeyError, ValueError) as error:
         raise WrongUsage(
-            f"{path}: not a Tsai calibration as PETS has it ({_what(error)}), wanted Geometry, Intrinsic and Extrinsic. "
-            "Next: give the camera's XML"
+            f"{path}: not a Tsai calibration as PETS has it ({_what(error)}), wanted Geometry, Intrinsic and "
+            "Extrinsic. Next: give the camera's XML"
         ) from error
     if (
         not np.isfinite(list(said.values())).all()
