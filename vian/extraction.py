@@ -12,6 +12,7 @@ on behind the last stored sequence, and says what lies between as an interruptio
 import hashlib
 import json
 import os
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass, field
@@ -82,6 +83,11 @@ _TRIES = 5
 PROGRESS_EVERY_S = 10.0
 """Media time between two `process_progressed`, in seconds."""
 
+NOTES_OF_A_KIND_MAX = 5
+"""So many gaps of one kind are told while the work goes on; all of them are in the log."""
+
+_ALL_NOTES = 'vian query "select source, time, note from process_progressed"'
+
 _YEARS = range(1970, 2200)
 """Years in which a video can have been recorded: clocks that were never set say 1904, or 9999."""
 
@@ -133,6 +139,8 @@ class Job:
     shape: Shape = field(default_factory=Shape)
     ignored: motion.IgnoredArea | None = None
     live: LiveLimits = field(default_factory=LiveLimits)
+    ca_file: Path | None = None
+    """certificates that a live stream over TLS must have one of, or of those whom they vouch for; None: any will do"""
     stamp: Stamp = wall_clock
     run: int = 1
     """1 for the first time, more for a repetition of the same extraction as a new process"""
@@ -173,7 +181,13 @@ def extract_motion(job: Job) -> Extraction:
     """
     station_name(job.station), source_name(job.source)
     if isinstance(job.path, Address):
-        with Live(job.path, job.live, job.shape, is_stopped=job.is_stopped) as live, _alone(job):
+        if job.path.is_over_tls and job.ca_file is None:
+            job.note(
+                f"{job.path.shown}: nobody checks the camera's certificate, so whoever answers gets the login. "
+                "Next: VIAN_LIVE_CA_FILE=FILE with its certificate"
+            )
+        live = Live(job.path, job.live, job.shape, ca_file=job.ca_file, is_stopped=job.is_stopped)
+        with live, _alone(job):
             return _extract_live(job, live)
     info = video.probe(job.path, shape=job.shape)
     with _alone(job):
@@ -252,6 +266,7 @@ class _Run:
         self._time_us = 0
         self._events = 0
         self._gaps = 0
+        self._told: Counter[GapReason] = Counter()
         self._progress_due_s = PROGRESS_EVERY_S
         standing = standing_calibration(job.log, job.station, job.source, to_position=started_position)
         self._folds = CameraFolds(FrameSize(info.width, info.height), job.camera, standing)
@@ -292,6 +307,7 @@ class _Run:
         self._gaps += len(step.gaps)
         self._take_in((*step.batches, *of_the_camera), step)
         self._resized = []
+        self._tell(step.gaps)
         if self._job.on_progress is not None:
             self._job.on_progress(self._frames, None if self._job.shape.fps else self._info.frames_expected)
 
@@ -323,6 +339,15 @@ class _Run:
                 sizes = {"width": change.size.width, "height": change.size.height}
                 self._footage = self._added.model_copy(update=sizes | {"time": self._job.stamp(time)})
             yield batch_of([self._footage])
+
+    def _tell(self, gaps: Iterable[Gap]) -> None:
+        """Tell people of the gaps, but not of each where there are very many of a kind."""
+        for gap in gaps:
+            self._told[gap.reason] += 1
+            if self._told[gap.reason] <= NOTES_OF_A_KIND_MAX:
+                self._job.note(str(gap))
+            elif self._told[gap.reason] == NOTES_OF_A_KIND_MAX + 1:
+                self._job.note(f"{gap.reason}: more of the kind are not told here, but recorded. Next: {_ALL_NOTES}")
 
     def _of_the_stream(self, gaps: Iterable[Gap]) -> Iterator[EventBatch]:
         """What is to be said of the live stream itself: that it was interrupted, or came back."""

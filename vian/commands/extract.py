@@ -24,7 +24,7 @@ from vian.errors import WrongUsage
 from vian.extraction import Extraction, Job, extract_motion
 from vian.horizon_extraction import HorizonExtraction, HorizonJob, extract_horizon
 from vian.options import has_zone, opened, settings_for, time_of
-from vian.output import Output
+from vian.output import Output, counted
 from vian.settings import Settings
 
 app = typer.Typer(help="Run an extractor on a video or on tracks; its events go into the log.", no_args_is_help=True)
@@ -124,6 +124,7 @@ def motion(
                 shape=shape,
                 ignored=ignored,
                 live=_live_limits(settings),
+                ca_file=_ca_file(settings),
                 run=again,
                 database_wait_s=settings.database_wait_s,
                 on_progress=show,
@@ -247,6 +248,17 @@ def _live_limits(settings: Settings) -> LiveLimits:
     )
 
 
+def _ca_file(settings: Settings) -> Path | None:
+    """The certificates that count for cameras, as an absolute path that can be read."""
+    if settings.live_ca_file is None:
+        return None
+    try:
+        settings.live_ca_file.read_bytes()
+    except OSError as error:
+        raise WrongUsage(f"live_ca_file {settings.live_ca_file} cannot be read: {error.strerror}") from error
+    return settings.live_ca_file.absolute()
+
+
 def _stop_on_signals() -> threading.Event:
     """An event that SIGINT or SIGTERM sets: a live stream has no end of its own."""
     stopping = threading.Event()
@@ -270,8 +282,8 @@ def report(output: Output, extraction: Extraction) -> None:
         "was_done": extraction.was_done,
     }
     text = (
-        f"process {extraction.process}: {extraction.frames} frames, {extraction.events} events found besides the "
-        f"process's own, {extraction.gaps} gaps"
+        f"process {extraction.process}: {counted(extraction.frames, 'frame')}, {counted(extraction.events, 'event')} "
+        f"found besides the process's own, {counted(extraction.gaps, 'gap')}"
     )
     if not extraction.events:
         text += ": nothing moved that was large and steady enough"
