@@ -237,7 +237,8 @@ def of_long_input(said: dict[str, Any]) -> Iterator[str]:
     """The section on memory while a long video is extracted."""
     samples = said["samples"]
     yield (
-        "## Memory over a long input\n\n`python -m benchmarks.long_input --plot docs/performance-long-input.svg VIDEO`, "
+        "## Memory over a long input\n\n"
+        "`python -m benchmarks.long_input --plot docs/performance-long-input.svg VIDEO`, "
         f"{_when(said)}: the PETS clip in a loop, {samples[-1]['minutes']:.0f} minutes, {said['pictures']:,} pictures, "
         f"{said['events']:,} events, from the video to stored segments.\n"
     )

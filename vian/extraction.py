@@ -13,7 +13,7 @@ import hashlib
 import json
 import os
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime, timedelta
@@ -23,6 +23,7 @@ from typing import Any, TypeVar
 from events import (
     ActivityInterval,
     Appearance,
+    CameraCalibrated,
     EventBatch,
     EventType,
     HorizonEstimate,
@@ -49,10 +50,12 @@ from events import (
 from extractors import motion, video
 from extractors.addresses import Address
 from extractors.errors import ExtractorError
-from extractors.horizon import FrameSize, Horizon, HorizonConfig
+from extractors.horizon import FrameSize
 from extractors.live import Live, LiveLimits
 from extractors.media import Frame, Gap, GapReason, Shape, VideoInfo
 from store import Appender, Log, SequenceConflict
+from vian.calibrating import calibrations_in, check_inside, standing_calibration, unsaid
+from vian.camera_folds import CameraConfig, CameraFolds, Resized
 from vian.errors import WorldFailed, WrongUsage
 from vian.exclusive import exclusively
 
@@ -66,11 +69,15 @@ _SAID_BY_A_PROCESS = (
     HorizonVote,
     HorizonEstimate,
     SceneChanged,
+    VideoAdded,
     ProcessProgressed,
     ProcessFinished,
     ProcessFailed,
 )
-"""Event types of the streams that a process appends to while it runs."""
+"""Event types of the streams that a process alone appends to while it runs."""
+
+_TRIES = 5
+"""So often an append is tried with calibrations in it: people may calibrate the same camera at that moment."""
 
 PROGRESS_EVERY_S = 10.0
 """Media time between two `process_progressed`, in seconds."""
@@ -126,8 +133,8 @@ class Job:
     config: motion.MotionConfig = field(default_factory=motion.MotionConfig)
     detector: motion.Detector | None = None
     """finds the objects, where `config.detector` is a model's hash"""
-    horizon: HorizonConfig | None = field(default_factory=HorizonConfig.of_blobs)
-    """how the horizon is found meanwhile; None: it is not. Tracks are the same either way: it names no process"""
+    camera: CameraConfig = field(default_factory=CameraConfig)
+    """how horizon and calibration are found meanwhile"""
     shape: Shape = field(default_factory=Shape)
     ignored: motion.IgnoredArea | None = None
     live: LiveLimits = field(default_factory=LiveLimits)
@@ -207,6 +214,9 @@ def _extract(job: Job, path: Path, info: VideoInfo) -> Extraction:
     process = process_name(job, added.video)
     begun = _find(job, ProcessStarted, process)
     if begun is None:
+        newest = _find(job, VideoAdded, added.video)
+        if newest is not None and (newest[0].width, newest[0].height) != (added.width, added.height):
+            _append_first(job, added)  # an earlier process met another size within the video
         _give_up_unfinished(job, added, process)
         begun = _start(job, added, process)
     elif finished := _find(job, ProcessFinished, process):
@@ -257,13 +267,15 @@ class _Run:
         self._gaps = 0
         self._told: Counter[GapReason] = Counter()
         self._progress_due_s = PROGRESS_EVERY_S
-        self._horizon = Horizon(FrameSize(info.width, info.height), job.horizon) if job.horizon else None
+        standing = standing_calibration(job.log, job.station, job.source, to_position=started_position)
+        self._folds = CameraFolds(FrameSize(info.width, info.height), job.camera, standing)
+        self._resized: list[Resized] = []
 
     def whole(self, frames: Iterable[Frame | Gap]) -> Extraction:
         """Extract to the end of the frames."""
         first_track_id = 1 + self._resume_all()
         steps = motion.extract(
-            frames,
+            self._watched(frames),
             self._job.config,
             start_time=self._added.started_at,
             first_track_id=first_track_id,
@@ -273,6 +285,7 @@ class _Run:
         try:
             for step in steps:
                 self._store(step)
+            self._take_in(self._folds.finish())
         except ExtractorError as error:
             self._say(ProcessFailed(**self._state(), error=str(error)))
             raise
@@ -281,7 +294,6 @@ class _Run:
                 f"somebody else appends to source {self._job.source}: {error}. What this process stored stays. "
                 "Next: give each extraction a source of its own, then run this again"
             ) from error
-        self._end_horizon()
         self._say(ProcessFinished(**self._state(), gaps=self._gaps))
         return Extraction(
             self._process, self._job.source, self._added, self._frames, self._events, self._gaps, was_done=False
@@ -290,11 +302,10 @@ class _Run:
     def _store(self, step: motion.Extraction) -> None:
         """Append what one interval of the media brought, in one transaction."""
         self._frames, self._time_us = step.frames, step.time_us
-        found = [*step.batches, *self._of_horizon(step)]
-        self._events += sum(len(batch) for batch in found)
+        of_the_camera = self._folds.add(step.batches, self._resized)
         self._gaps += len(step.gaps)
-        batches = [*found, *self._remarks(step), *self._of_the_stream(step.gaps)]
-        self._append(batches)
+        self._take_in((*step.batches, *of_the_camera), step)
+        self._resized = []
         self._tell(step.gaps)
         if self._job.on_progress is not None:
             self._job.on_progress(self._frames, None if self._job.shape.fps else self._info.frames_expected)
@@ -308,8 +319,37 @@ class _Run:
             elif self._told[gap.reason] == NOTES_OF_A_KIND_MAX + 1:
                 self._job.note(f"{gap.reason}: more of the kind are not told here, but recorded. Next: {_ALL_NOTES}")
 
+    def _watched(self, frames: Iterable[Frame | Gap]) -> Iterator[Frame | Gap]:
+        """The frames as they come; where their size changes, to what."""
+        is_resized = False
+        for item in frames:
+            if isinstance(item, Gap):
+                is_resized |= item.reason is GapReason.SIZE_CHANGED
+            elif is_resized:
+                height, width = (round(pixels * item.scale) for pixels in item.image.shape[:2])
+                self._resized.append(Resized(item.index, item.time_us, FrameSize(width, height)))
+                is_resized = False
+            yield item
+
+    def _take_in(self, found: Sequence[EventBatch], step: motion.Extraction | None = None) -> None:
+        """Append what was found, with what is to be said of the step, in one transaction."""
+        self._events += sum(len(batch) for batch in found)
+        of_the_step = [*self._remarks(step), *self._of_the_stream(step.gaps)] if step is not None else []
+        self._append([*found, *of_the_step, *self._of_the_footage()])
+
+    def _of_the_footage(self) -> Iterator[EventBatch]:
+        """That the frames have come to another size, which zones and calibrations are laid by."""
+        for change in self._resized:
+            time = self._added.started_at + timedelta(microseconds=change.time_us)
+            if self._live is not None:
+                self._footage = _live_added(self._job, self._live.info, time)
+            else:
+                sizes = {"width": change.size.width, "height": change.size.height}
+                self._footage = self._added.model_copy(update=sizes | {"time": self._job.stamp(time)})
+            yield batch_of([self._footage])
+
     def _of_the_stream(self, gaps: Iterable[Gap]) -> Iterator[EventBatch]:
-        """What is to be said of the live stream itself: that it was interrupted, came back, or has another size."""
+        """What is to be said of the live stream itself: that it was interrupted, or came back."""
         for gap in gaps:
             if self._live is None or gap.time_us is None:
                 continue
@@ -319,28 +359,6 @@ class _Run:
                 yield batch_of([StreamInterrupted(time=time, video=name, why=gap.detail)])
             elif gap.reason is GapReason.RESUMED and self._interrupted_at is not None:
                 yield batch_of([StreamResumed(time=time, video=name, interrupted_at=self._interrupted_at)])
-            elif gap.reason is GapReason.SIZE_CHANGED:
-                self._footage = _live_added(self._job, self._live.info, time)
-                yield batch_of([self._footage])
-
-    def _of_horizon(self, step: motion.Extraction) -> tuple[EventBatch, ...]:
-        """What the tracks say of the horizon; from a change of the frame's size on, nothing."""
-        if any(gap.reason is GapReason.SIZE_CHANGED for gap in step.gaps):
-            self._horizon = None
-        if self._horizon is None:
-            return ()
-        for batch in step.batches:
-            self._horizon.take_in(batch)
-        return self._horizon.take()
-
-    def _end_horizon(self) -> None:
-        """Let the tracks that are left say where the horizon is."""
-        if self._horizon is None:
-            return
-        self._horizon.finish()
-        batches = list(self._horizon.take())
-        self._events += sum(len(batch) for batch in batches)
-        self._append(batches)
 
     def _remarks(self, step: motion.Extraction) -> list[EventBatch]:
         """What is to be said of the work itself: gaps, and progress now and then."""
@@ -355,8 +373,27 @@ class _Run:
         ]
         return [batch_of(said)] if said else []
 
-    def _append(self, batches: list[EventBatch]) -> None:
-        self._appender.append([(self._job.stream(batch.type), batch) for batch in batches if len(batch)])
+    def _append(self, batches: Sequence[EventBatch]) -> None:
+        found = calibrations_in(batches)
+        others = [(self._job.stream(batch.type), batch) for batch in batches if batch.type is not CameraCalibrated]
+        for tries_left in reversed(range(_TRIES)):
+            said = self._appender.persistently(lambda: self._unsaid(found)) if found else []
+            try:
+                self._appender.append([each for each in (*others, *said) if len(each[1])])
+                return
+            except SequenceConflict:
+                if not (said and tries_left):
+                    raise
+
+    def _unsaid(self, found: Sequence[CameraCalibrated]) -> list[tuple[StreamName, EventBatch]]:
+        """The calibrations that are still to be said; none where people have calibrated the camera meanwhile."""
+        job, stream = self._job, self._job.stream(CameraCalibrated)
+        standing = standing_calibration(job.log, job.station, job.source)
+        if standing is not None and standing.covariance is None:
+            return []
+        new = unsaid(job.log, stream, found)
+        self._appender.resume_at(stream, job.log.stream_head(stream).sequence)
+        return [(stream, batch_of(new))] if new else []
 
     def _say(self, event: EventType) -> None:
         self._append([batch_of([event])])
@@ -396,7 +433,7 @@ def _added(job: Job, path: Path, info: VideoInfo) -> VideoAdded:
     known = _find(job, VideoAdded, info.sha256)
     if known is not None:
         _check_start(job, known[0])
-        return known[0]
+        return known[0].model_copy(update={"width": info.width, "height": info.height})
     place = os.fsencode(path).decode(errors="replace")  # a name need not be UTF-8; it is for people
     event = _footage(job, info, info.sha256, place, _started_at(job, path, info))
     _append_first(job, event)
@@ -426,6 +463,7 @@ def _footage(job: Job, info: VideoInfo, name: str, place: str, started_at: datet
 
 
 def _check_fits(job: Job, info: VideoInfo) -> None:
+    check_inside(job.camera.scale, FrameSize(info.width, info.height))
     if job.ignored is not None:
         job.ignored.check_fits(info.width, info.height)
 

@@ -14,15 +14,25 @@ BoxesXyxy = npt.NDArray[np.float64]
 
 SPECKLE = 5
 """Width of the median filter that removes speckle, px of the analysed picture."""
+UPRIGHT = np.ones((SPECKLE, 1), np.uint8)
+"""As far up and down as that filter can take something off an object."""
 
 
 def cleaned(mask: Mask, config: MotionConfig) -> Mask:
-    """The mask without speckle and with gaps closed."""
+    """The mask without speckle and with gaps closed.
+
+    The median that removes speckle also takes off what is thinner than it: feet and heads of people far away. So
+    what is foreground within its reach above or below of what it left is put back, a step of opening by
+    reconstruction; last, so that it joins no neighbours, and not to the sides, where neighbours are.
+
+    Source: L. Vincent, "Morphological Grayscale Reconstruction in Image Analysis: Applications and Efficient
+    Algorithms", IEEE Transactions on Image Processing 2, 1993, section 3 (geodesic dilation).
+    """
     height = max(3, round(config.close_share * mask.shape[0])) | 1
     width = max(3, height // 2) | 1
-    calm = cv2.medianBlur(mask, SPECKLE)
     element = cv2.getStructuringElement(cv2.MORPH_RECT, (width, height))
-    return np.asarray(cv2.morphologyEx(calm, cv2.MORPH_CLOSE, element), np.uint8)
+    whole = cv2.morphologyEx(cv2.medianBlur(mask, SPECKLE), cv2.MORPH_CLOSE, element)
+    return np.asarray(cv2.bitwise_or(whole, cv2.bitwise_and(cv2.dilate(whole, UPRIGHT), mask)), np.uint8)
 
 
 def boxes(mask: Mask, config: MotionConfig) -> BoxesXyxy:

@@ -31,8 +31,8 @@ class MotionConfig(BaseModel):
     """numbers of the model's classes that are followed; all where null"""
 
     analysis_lines: Annotated[int, Field(ge=60)] = 360
-    """pictures with twice this height or more are first shrunk by the whole number that brings them
-    nearest above it, px"""
+    """pictures whose shorter side is longer are first shrunk to this, px: a person who is a twelfth of the picture
+    high keeps 30 lines, and time goes with the pixels"""
 
     memory_s: Positive = 40.0
     """time constant of the background model, s"""

@@ -80,7 +80,9 @@ class _Crop:
 
 
 def explained(mask: Mask, blobs_xyxy: BoxesXyxy, tracked_xyxy: BoxesXyxy, sizes: SizePrior) -> Detections | None:
-    """The objects in the mask; None where their size is not known.
+    """The objects in the mask; None where the size of none is known.
+
+    A blob at a place where nothing is known of sizes is one object.
 
     Args:
         mask: The cleaned mask.
@@ -92,7 +94,7 @@ def explained(mask: Mask, blobs_xyxy: BoxesXyxy, tracked_xyxy: BoxesXyxy, sizes:
         return Detections.none()
     own = xywh(blobs_xyxy)
     known = sizes.expected(own[:, :2])
-    if np.isnan(known.height).any():
+    if np.isnan(known.height).all():
         return None
     expected_wh = np.stack([known.width, known.height], axis=1)
     is_cut = _touches_edge(blobs_xyxy, mask.shape)
@@ -107,8 +109,10 @@ def explained(mask: Mask, blobs_xyxy: BoxesXyxy, tracked_xyxy: BoxesXyxy, sizes:
 
 
 def _is_one(mask: Mask, blob_xyxy: Array, relative_wh: Array, is_cut: np.bool_) -> bool:
-    """Whether a blob is one object: of the expected size, cut by the picture's edge, or of another kind."""
+    """Whether a blob is one object: of the expected or an unknown size, cut by the picture's edge, or another kind."""
     width, height = relative_wh
+    if np.isnan(height):
+        return True
     if is_cut:
         is_fitting = width <= SINGLE_WIDTH[1] and height <= SINGLE_HEIGHT[1]
     else:
@@ -127,7 +131,7 @@ def _solidity(mask: Mask, blob_xyxy: Array) -> float:
 def _single(blob_xywh: Array, expected_wh: Array, *, is_cut: bool) -> Detections:
     """One object, with the blob's middle and a size between the blob's and the expected one."""
     x, y, w, h = blob_xywh
-    if is_cut or w > SINGLE_WIDTH[1] * expected_wh[0]:
+    if is_cut or not w <= SINGLE_WIDTH[1] * expected_wh[0]:
         return Detections.clear(xyxy(blob_xywh[None]), np.array([SCORE_CLEAR]))
     width, height = np.exp(BLOB_TRUST * np.log([w, h]) + (1 - BLOB_TRUST) * np.log(expected_wh))
     box = np.array([x, y + (height - h) / 2, width, height])
@@ -156,6 +160,8 @@ def _covered(mask: Mask, blobs_xyxy: BoxesXyxy, tracked_xyxy: BoxesXyxy, sizes: 
     low, high = blobs_xyxy[:, :2].min(axis=0), blobs_xyxy[:, 2:].max(axis=0)
     foot = np.array([[(low[0] + high[0]) / 2, high[1]]])
     height = sizes.expected(foot).height[0]
+    if np.isnan(height):
+        return Detections.clear(blobs_xyxy, np.full(len(blobs_xyxy), SCORE_CLEAR))
     factor = max(1, int(height / LINES_OF_OBJECT))
     crop = _crop(mask, low, high, margin=height * 0.6, factor=factor)
     boxes, shares = _greedy(crop, tracked_xyxy, sizes, factor)

@@ -20,6 +20,7 @@ from extractors.media import Frame, Gap, GapReason, Image
 from extractors.motion import blobs
 from extractors.motion.appearance import described
 from extractors.motion.background import Background, Foreground
+from extractors.motion.calibrated import ShrunkSizes
 from extractors.motion.config import MotionConfig
 from extractors.motion.covering import explained
 from extractors.motion.detection import Detections, Detector
@@ -72,6 +73,12 @@ class _Found:
 
 
 OnFrame = Callable[[Frame, Seen], None]
+Calibrated = Callable[[], SizePrior | None]
+"""Sizes of people in px of the video's frame, as a calibration gives them; None while there is none."""
+
+
+def uncalibrated() -> None:
+    """No calibration."""
 
 
 def extract(
@@ -82,6 +89,7 @@ def extract(
     first_track_id: int = 1,
     detector: Detector | None = None,
     ignored: IgnoredArea | None = None,
+    calibrated: Calibrated = uncalibrated,
     on_frame: OnFrame | None = None,
 ) -> Iterator[Extraction]:
     """Events of what moves in the frames, an interval of `batch_s` media time at a time.
@@ -93,13 +101,16 @@ def extract(
         first_track_id: Number of the first track.
         detector: Finds the objects in each picture; by default they are found by what moves.
         ignored: Where motion does not count.
+        calibrated: Asked at each picture for the sizes that a calibration gives, which then stand in for those that
+            are learnt. What it answers may change while an `Extraction` is taken, so it can rest on the events
+            yielded before. Once the camera looks elsewhere (`SceneChanged`), it must say None again.
         on_frame: Called after each frame with what was made of it.
 
     Raises:
         DetectorFailed: The detector stopped.
         VideoError: The frames ended with it; everything certain before was yielded.
     """
-    motion = _Motion(config, start_time, first_track_id, detector, ignored)
+    motion = _Motion(config, start_time, first_track_id, detector, ignored, calibrated)
     gaps: list[Gap] = []
     step_us = round(config.batch_s * 1e6)
     due_us = step_us
@@ -136,6 +147,7 @@ class _Motion:
         first_track_id: int,
         detector: Detector | None,
         ignored: IgnoredArea | None,
+        calibrated: Calibrated,
     ) -> None:
         # What a model calls an object is one before it moves.
         self._config = config if detector is None else config.model_copy(update={"confirm_path": 0.0})
@@ -147,6 +159,7 @@ class _Motion:
         self._emission = Emission(config, start_time)
         self._next_track_id = first_track_id
         self._ignored = ignored
+        self._calibrated = calibrated
         self._tracks: Tracks | None = None
         self._shape: tuple[int, ...] = ()
         self._sizes: SizePrior | None = None
@@ -157,7 +170,7 @@ class _Motion:
         """Find and follow what moves in one more frame."""
         dt_s = self._dt_s(frame)
         self._frames, self._last = self._frames + 1, frame
-        factor = max(1, frame.image.shape[0] // self._config.analysis_lines)
+        factor = self._factor_of(frame.image)
         image = shrunk(frame.image, factor)
         view = self._view(frame, image, dt_s)
         if not view.is_kept:
@@ -165,15 +178,15 @@ class _Motion:
         if self._tracks is None or frame.image.shape != self._shape:
             self._restart(frame)
         assert self._tracks is not None
-        found = self._moving(image, dt_s) if self._detector is None else self._modelled(self._detector, frame, image)
+        found = self._moving(frame, image, dt_s) if self._detector is None else self._modelled(frame, image)
         trusted = None if view.is_doubtful else found.objects
         observed = self._tracks.step(trusted, frame.index, frame.time_us, dt_s)
         self._tracks.look(lambda boxes_xyxy: described(image, found.mask, boxes_xyxy))
         self._emission.add(frame.index, frame.time_us, observed, self._factor * frame.scale, found.foreground.share)
         return Seen(self._factor, found.foreground, found.blobs_xyxy, observed)
 
-    def _moving(self, image: Image, dt_s: float) -> _Found:
-        """What moves in the picture."""
+    def _moving(self, frame: Frame, image: Image, dt_s: float) -> _Found:
+        """What moves in the picture, which is the frame's, smaller."""
         assert self._tracks is not None
         foreground = self._background.foreground(image, dt_s, self._tracks.standing())
         if self._ignored is not None:
@@ -181,26 +194,38 @@ class _Motion:
         mask = blobs.cleaned(foreground.mask, self._config)
         boxes = blobs.boxes(mask, self._config)
         self._tracks.disown(foreground.ghosts)
-        objects = None if foreground.is_light_change else self._objects(image, mask, boxes, dt_s)
+        sizes = self._known_sizes(self._factor * frame.scale)
+        objects = None if foreground.is_light_change else self._objects(image, mask, boxes, sizes, dt_s)
         return _Found(foreground, mask, boxes, objects)
 
-    def _modelled(self, detector: Detector, frame: Frame, image: Image) -> _Found:
+    def _modelled(self, frame: Frame, image: Image) -> _Found:
         """What the detector sees in the frame."""
-        seen = detector.detect(frame.image)
+        assert self._detector is not None
+        seen = self._detector.detect(frame.image)
         boxes = seen.boxes_xyxy / self._factor
         mask = np.full(image.shape[:2], FOREGROUND, np.uint8)
         share = min(1.0, float(blobs.areas(boxes).sum()) / mask.size)
         objects = replace(seen, boxes_xyxy=boxes, looks=described(image, mask, boxes))
         return _Found(Foreground(mask, share, is_light_change=False), mask, boxes, objects)
 
-    def _objects(self, image: Image, mask: Mask, found: blobs.BoxesXyxy, dt_s: float) -> blobs.BoxesXyxy | Detections:
-        """Objects of the size that was learnt; blobs, as long as nothing was."""
+    def _known_sizes(self, scale: float) -> SizePrior | None:
+        """What is known of sizes in the picture, of whose pixels each is `scale` of the video's."""
         assert self._tracks is not None
+        given = self._calibrated()
+        if given is not None:
+            return ShrunkSizes(given, scale)
         if self._tracks.sizes.is_due:
             self._sizes = self._tracks.sizes.learnt()
-        if self._sizes is None:
+        return self._sizes
+
+    def _objects(
+        self, image: Image, mask: Mask, found: blobs.BoxesXyxy, sizes: SizePrior | None, dt_s: float
+    ) -> blobs.BoxesXyxy | Detections:
+        """Objects of the known size; blobs, as long as none is known."""
+        assert self._tracks is not None
+        if sizes is None:
             return found
-        objects = explained(mask, found, self._tracks.expected_xyxy(dt_s), self._sizes)
+        objects = explained(mask, found, self._tracks.expected_xyxy(dt_s), sizes)
         return found if objects is None else replace(objects, looks=described(image, mask, objects.boxes_xyxy))
 
     def _view(self, frame: Frame, image: Image, dt_s: float) -> View:
@@ -242,11 +267,11 @@ class _Motion:
     def _restart(self, frame: Frame) -> None:
         self._stop("input_changed")
         self._shape = frame.image.shape
-        height, width = self._shape[:2]
-        self._factor = max(1, height // self._config.analysis_lines)
+        self._factor = self._factor_of(frame.image)
+        height, width = shrunk(frame.image, self._factor).shape[:2]
         self._background = Background(self._config)
         self._sizes = None
-        self._tracks = Tracks(self._config, width // self._factor, height // self._factor, self._next_track_id)
+        self._tracks = Tracks(self._config, width, height, self._next_track_id)
 
     def _stop(self, reason: EndReason) -> None:
         if self._tracks is not None:
@@ -254,21 +279,25 @@ class _Motion:
             self._next_track_id = self._tracks.next_track_id
             self._tracks = None
 
+    def _factor_of(self, image: Image) -> float:
+        """Pixels of the picture for one of the analysed picture."""
+        return float(max(1.0, min(image.shape[:2]) / self._config.analysis_lines))
+
     def _dt_s(self, frame: Frame) -> float:
         since_us = frame.time_us - self._last.time_us if self._last else 0
         return min(since_us / 1e6, DT_MAX_S)
 
 
-def unseen(image: Image, factor: int) -> Seen:
+def unseen(image: Image, factor: float) -> Seen:
     """What is made of a picture of a camera that does not rest: nothing."""
     foreground = Foreground(np.zeros(image.shape[:2], np.uint8), 0.0, is_light_change=False)
     nobody = Observed((), np.zeros((0, 6)), np.zeros(0), ())
     return Seen(factor, foreground, np.zeros((0, 4)), nobody)
 
 
-def shrunk(image: Image, factor: int) -> Image:
-    """The picture, smaller by a whole factor; its pixels are means of the picture's."""
+def shrunk(image: Image, factor: float) -> Image:
+    """The picture, smaller by a factor; its pixels are means of the picture's."""
     if factor == 1:
         return image
-    size = (image.shape[1] // factor, image.shape[0] // factor)
+    size = (round(image.shape[1] / factor), round(image.shape[0] / factor))
     return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)

@@ -52,7 +52,7 @@ def horizon(
     from vian.evaluation.judging import judged, summaries
     from vian.evaluation.plots import plot_errors
 
-    chosen = estimators(methods)
+    chosen = estimators(methods, is_of_blobs=not path.is_dir())
     scenes = _scenes(path, truth)
     found = list(judged(scenes, chosen))
     output = Output(is_json=as_json)

@@ -10,6 +10,7 @@ from typing import Annotated
 import typer
 
 from extractors.addresses import Address, parsed
+from extractors.calibration import CalibrationConfig, Scale
 from extractors.horizon import HorizonConfig
 from extractors.live import LiveLimits
 from extractors.media import Shape
@@ -17,6 +18,7 @@ from extractors.motion import Detector, MotionConfig, read_ignored_area
 from extractors.motion.onnx import OnnxDetector
 from store import Projector
 from vian import options
+from vian.camera_folds import CameraConfig
 from vian.commands import extract_calibration
 from vian.errors import WrongUsage
 from vian.extraction import Extraction, Job, extract_motion
@@ -61,6 +63,12 @@ def motion(
     is_without_horizon: Annotated[
         bool, typer.Option("--no-horizon", help="Do not look for the horizon meanwhile.")
     ] = False,
+    is_without_calibration: Annotated[
+        bool, typer.Option("--no-calibration", help="Do not calibrate the camera meanwhile.")
+    ] = False,
+    camera_height_m: extract_calibration.CameraHeightM = None,
+    length: extract_calibration.Length = None,
+    person_height_m: extract_calibration.PersonHeightM = None,
     fps: Annotated[
         float | None,
         typer.Option(
@@ -83,10 +91,15 @@ def motion(
     station: options.Station = None,
     as_json: options.Json = False,
 ) -> None:
-    """Detect and track what moves in a video or live stream: track points, ended tracks, intervals, the horizon."""
+    """Detect and track what moves in a video or live stream: its tracks, the camera's horizon and calibration."""
     settings = settings_for(data_dir, dsn, station=station)
     output = Output(is_json=as_json)
     config, model = detection(detector, classes)
+    camera = _camera(
+        is_without_horizon,
+        is_without_calibration,
+        extract_calibration.scale_of(camera_height_m, length, person_height_m, CalibrationConfig()),
+    )
     started_at = time_of("--start", start)
     if start is not None and started_at is not None and not has_zone(start):
         output.note(f"--start names no time zone: taken as UTC, {started_at.isoformat()}")
@@ -107,7 +120,7 @@ def motion(
                 started_at=started_at,
                 config=config,
                 detector=model,
-                horizon=None if is_without_horizon else HorizonConfig.of_blobs(),
+                camera=camera,
                 shape=shape,
                 ignored=ignored,
                 live=_live_limits(settings),
@@ -201,6 +214,15 @@ def _place(video: str, login_file: Path | None) -> Path | Address:
     except (OSError, UnicodeDecodeError) as error:
         raise WrongUsage(f"--login-file {login_file} cannot be read: {error}") from error
     return place.with_login(login)
+
+
+def _camera(is_without_horizon: bool, is_without_calibration: bool, scale: Scale) -> CameraConfig:
+    """What is to be found of the camera."""
+    return CameraConfig(
+        horizon=None if is_without_horizon else HorizonConfig.of_blobs(),
+        calibration=None if is_without_calibration else CalibrationConfig(),
+        scale=scale,
+    )
 
 
 def _shape(fps: float | None, resize: str | None) -> Shape:

@@ -13,7 +13,7 @@ from vian.clock import utc_now
 from vian.errors import WrongUsage
 from vian.options import opened, settings_for, time_of
 from vian.output import Output
-from vian.rules import check_fit, deploy_all, load_all, misplaced
+from vian.rules import check_fit, deploy_all, doubts, load_all
 
 _COLUMNS = (
     "rule",
@@ -86,7 +86,7 @@ def deploy_rules(
     rules = load_all(paths)
     with opened(settings, data_dir=data_dir, is_made=True) as log:
         check_fit(log, rules)
-        for remark in misplaced(log, rules):
+        for remark in doubts(log, rules):
             output.note(f"warning: {remark}")
         deployed = deploy_all(
             log,

@@ -93,7 +93,7 @@ def test_a_change_of_tones_is_not_motion(change: str) -> None:
             "white balance": x * np.array([0.9, 1.0, 1.08]),
             "gamma": x**1.2,
         }[change]
-        return np.clip(np.rint(tones * 255), 0, 255).astype(np.uint8)
+        return np.asarray(np.clip(np.rint(tones * 255), 0, 255), np.uint8)
 
     camera = Camera()
     camera.show(street(), 5)

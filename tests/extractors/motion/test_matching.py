@@ -59,10 +59,14 @@ def test_a_track_is_found_again_where_it_was_last_seen() -> None:
 
 def test_who_looks_alike_is_found_again_within_reach() -> None:
     alike, unlike = np.array([[0.1]]), np.array([[0.8]])
-    far = {"distances": 100.0}
-    assert not np.isnan(decide([LEFT], [RIGHT], [0.9], away=0.7, unlike=alike, **far).measured_xyxy).any()
-    assert np.isnan(decide([LEFT], [RIGHT], [0.9], away=0.7, unlike=unlike, **far).measured_xyxy).all()
-    assert np.isnan(decide([LEFT], [RIGHT], [0.9], away=1.1, unlike=alike, **far).measured_xyxy).all()
+
+    def is_taken(away: float, looks: np.ndarray) -> bool:
+        decision = decide([LEFT], [RIGHT], [0.9], away=away, unlike=looks, distances=100.0)
+        return not np.isnan(decision.measured_xyxy).any()
+
+    assert is_taken(0.7, alike)
+    assert not is_taken(0.7, unlike)
+    assert not is_taken(1.1, alike)
 
 
 def test_looks_decide_between_two_who_meet() -> None:
