@@ -131,7 +131,7 @@ class HorizonConfig(BaseModel):
     pace_trend: Share = 0.1
     """standard deviation of what all paces may change by across the frame (their logarithm): people slow down at a
     door or a crossing, whoever they are"""
-    height_trend: Share = 0.02
+    height_trend: Share = 0.01
     """likewise of heights: ground that is not quite a plane"""
     model_share: Positive = 0.004
     """standard deviation of what the model leaves out (lens distortion, uneven ground), of the frame's height"""
