@@ -18,7 +18,7 @@ from extractors.calibration.errors import NotDecided
 from extractors.calibration.scale import CameraHeight, KnownLength, PersonHeight, Scale
 from extractors.horizon import Fit
 
-TILT, ROLL, FOCAL, SIZE, HEIGHT = 0, 1, 2, 3, 6
+TILT, ROLL, FOCAL, SIZE, HEIGHT = 0, 1, 2, 3, 7
 """Places in the state: those of `Fit.camera`, and the logarithm of the camera's height (m) behind them."""
 HEIGHT_UNKNOWN = 10.0
 """Standard deviation of the logarithm of a camera's height before anything is known of it."""
@@ -142,10 +142,10 @@ def _observations(
 
 
 def _before(fit: Fit, config: CalibrationConfig, scale: Scale) -> tuple[Floats, Floats]:
-    """State and information of it `(7, 7)` before what is known joins."""
+    """State and information of it `(8, 8)` before what is known joins."""
     height_m = scale.metres if isinstance(scale, CameraHeight) else config.person_height_m / math.exp(fit.camera[SIZE])
-    information = np.zeros((7, 7))
-    information[:6, :6] = np.linalg.inv(fit.covariance)
+    information = np.zeros((8, 8))
+    information[:HEIGHT, :HEIGHT] = np.linalg.inv(fit.covariance)
     information[HEIGHT, HEIGHT] = 1 / HEIGHT_UNKNOWN**2
     return np.append(fit.camera, math.log(height_m)), information
 

@@ -56,22 +56,29 @@ def horizon_of(tilt: float, roll: float, focal: float, size: FrameSize) -> Line:
     return Line(float(slope), float(middle - slope * size.width / 2))
 
 
-def log_heights(camera: Floats, log_size: Floats, foot_xy: Floats, size: FrameSize) -> Floats:
+def log_heights(camera: Floats, log_size: Floats, depth: float, foot_xy: Floats, size: FrameSize) -> Floats:
     """Logarithm of the box heights (px) of upright objects that stand at these points of the picture, `(n,)`.
+
+    A box is higher than the line from foot to head: its lower edge is at the foot that is nearest, its upper one where
+    the head is farthest.
 
     Args:
         camera: `tilt (rad), roll (rad), log of the focal length (px)`.
         log_size: Logarithm of each object's height over the camera's, `(n,)`.
-        foot_xy: Where they stand, px, `(n, 2)`.
+        depth: How far the top of the head is behind the nearest foot, along the ground, of the object's height.
+        foot_xy: Where the nearest foot is, px, `(n, 2)`.
         size: Of the frame.
     """
     tilt, roll, log_focal = camera
     focal, n = np.exp(log_focal), up(tilt, roll)
     x, y = (foot_xy[:, 0] - size.width / 2) / focal, (foot_xy[:, 1] - size.height / 2) / focal
     below = _softly_positive(-(n[0] * x + n[1] * y + n[2]))
-    share = np.exp(log_size) * below  # the head is this part of n nearer: Q ~ r + share * n
-    depth = np.maximum(1 + share * n[2], 1 - SHARE_MAX)
-    head_y = (y + share * n[1]) / depth
+    share = np.exp(log_size) * below
+    away = np.stack([x, y, np.ones(len(x))], axis=1) + below[:, None] * n
+    away *= depth / np.linalg.norm(away, axis=1)[:, None]
+    head_y = y + share * (n[1] + away[:, 1])  # of Q ~ r + share * (n + away), with r the ray to the foot
+    head_z = np.maximum(1 + share * (n[2] + away[:, 2]), 1 - SHARE_MAX)
+    head_y = head_y / head_z
     return np.asarray(np.log(np.maximum(focal * (y - head_y), 1e-3)))
 
 

@@ -113,6 +113,12 @@ class HorizonConfig(BaseModel):
     bias_lines: Positive = 0.005
     """prior standard deviation of what all boxes are too high or too low by, of the frame's height: detectors and
     annotators leave a margin of one or two of 576 lines at either end"""
+    depth: Annotated[float, Field(ge=0)] = 0.07
+    """prior mean of how far a box's top is behind its lower edge on the ground, of the object's height: a step is 0.4
+    of a walker's height and a shoe 0.15, so that the nearest foot is 0.13 before the hip in the mean, and the head's
+    far side 0.05 behind it; boxes that were computed from a line have none ..."""
+    depth_spread: Positive = 0.07
+    """... and its standard deviation"""
     pace_spread: Positive = 0.3
     """standard deviation of the logarithm of objects' paces about the usual one"""
     pace_median: Positive = 0.26
@@ -141,9 +147,9 @@ class HorizonConfig(BaseModel):
         """The parameters for the boxes of the motion extractor.
 
         They are outlines of what differs from the background: gaps of 0.02 of the frame's height are closed, a
-        shadow may be left on, and far feet, which are a pixel or two, go unseen.
+        shadow may be left on, and far feet, which are a pixel or two, go unseen. They are of bodies, not computed.
         """
-        return cls(bias_lines=0.012)
+        return cls(bias_lines=0.012, depth=0.15, depth_spread=0.03)
 
     @property
     def config_hash(self) -> bytes:

@@ -25,7 +25,7 @@ STEPS_MAX = 30
 """Further steps from there."""
 SETTLED = 3e-4
 """A step this short in every parameter is the last."""
-STEP_MAX = np.array([0.15, 0.15, 0.3, 0.5, 0.005, 0.5])
+STEP_MAX = np.array([0.15, 0.15, 0.3, 0.5, 0.005, 0.5, 0.05])
 """Longest step in each parameter of the camera."""
 LEVERAGE_MIN = 0.05
 """Share of its own information that a track is at least taken to lack; alone it cannot contradict itself."""
@@ -39,9 +39,9 @@ class Fit:
 
     camera: Floats
     """`tilt (rad), roll (rad), log of focal length (px), log of usual size (camera heights), bias of box
-    heights (frame heights), log of usual pace (camera heights per s)`"""
+    heights (frame heights), log of usual pace (camera heights per s), depth of objects (their heights)`"""
     covariance: Floats
-    """of them, `(6, 6)`"""
+    """of them, `(7, 7)`"""
     line: Line
     line_covariance: Floats
     """of slope and offset, `(2, 2)`"""
@@ -114,7 +114,7 @@ class _Problem:
         self._paces = Paces(places, self._tracks, size, config)
         focal, usual_size, pace = config.focal_widths * size.width, config.size_median, config.pace_median
         tilt, tilt_spread, roll_spread = np.radians([config.tilt_deg, config.tilt_spread_deg, config.roll_spread_deg])
-        self._prior_mean = np.array([tilt, 0.0, np.log(focal), np.log(usual_size), 0.0, np.log(pace)])
+        self._prior_mean = np.array([tilt, 0.0, np.log(focal), np.log(usual_size), 0.0, np.log(pace), config.depth])
         spreads = [
             tilt_spread,
             roll_spread,
@@ -122,6 +122,7 @@ class _Problem:
             config.size_spread,
             config.bias_lines,
             config.pace_usual_spread,
+            config.depth_spread,
         ]
         self._prior = np.diag(1 / np.square(spreads))
 
@@ -211,7 +212,7 @@ class _Problem:
         return horizon_of(float(camera[0]), float(camera[1]), float(np.exp(camera[2])), self._size)
 
     def _line_jacobian(self, camera: Floats) -> Floats:
-        """Derivatives of slope and offset by the camera, `(2, 6)`."""
+        """Derivatives of slope and offset by the camera, `(2, 7)`."""
         here = self._line(camera)
         moved = [self._line(camera + DIFFERENCE * axis) for axis in np.eye(len(camera))]
         return np.array([[line.slope - here.slope, line.offset - here.offset] for line in moved]).T / DIFFERENCE

@@ -19,7 +19,7 @@ def test_feet_lie_beside_the_middle_of_a_box_that_leans() -> None:
     feet = feet_of(NUMBERS, middles, heights, SIZE)
     assert (np.abs(feet[:, 0] - middles[:, 0]) > 0.05 * heights).all()
     np.testing.assert_allclose(ground_points(NUMBERS, feet, SIZE) * ROLLED.height_m, PLACES_M, rtol=1e-3, atol=1e-3)
-    expected = log_heights(NUMBERS, np.full(3, np.log(SIZE_M / ROLLED.height_m)), feet, SIZE)
+    expected = log_heights(NUMBERS, np.full(3, np.log(SIZE_M / ROLLED.height_m)), 0.0, feet, SIZE)
     np.testing.assert_allclose(expected, np.log(heights), atol=1e-3)  # depths are floored softly
 
 
