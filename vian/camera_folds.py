@@ -1,8 +1,8 @@
 """What the tracks of a camera say of it while they are made: its horizon and its calibration.
 
 Contract: batches of one source in, as motion gives them; votes, estimates and calibrations out, the same however often
-it is run. Horizon and calibration are found from the same batches and do not know each other: a horizon that comes
-from these very tracks would count them twice. Where the view or the frame's size changes, both begin anew.
+it is run. Horizon and calibration come from one fit where both are looked for. Where the view or the frame's size
+changes, both begin anew.
 
 A calibration is said where it beats the one that stands: after a pause of the camera or in another video few tracks are
 known again, and what many tracks said before is better as long as the two agree.
@@ -10,13 +10,15 @@ known again, and what many tracks said before is better as long as the two agree
 
 import json
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from events import CameraCalibrated, EventBatch, SceneChanged, TrackPoint, batch_of, events_of
-from extractors.calibration import CalibrationConfig, CalibrationFold, KnownLength, Scale
+from extractors.calibration import VERSION, CalibrationConfig, CalibrationFold, KnownLength, Scale
+from extractors.horizon import VERSION as HORIZON_VERSION
 from extractors.horizon import FrameSize, Horizon, HorizonConfig
 
 OTHER_VIEWS = frozenset({"moved", "unknown"})
@@ -36,6 +38,18 @@ class CameraConfig:
     """None: no calibration is looked for"""
     scale: Scale | None = None
     """where metres come from; None: the mean height of people, as the configuration has it"""
+
+    @property
+    def description(self) -> dict[str, Any]:
+        """What is said of it in the log: extractors' versions and configurations, and where metres come from."""
+        said: dict[str, Any] = {}
+        if self.horizon is not None:
+            said["horizon"] = {"version": HORIZON_VERSION, "configuration": self.horizon.config_hash.hex()}
+        if self.calibration is not None:
+            said["calibration"] = {"version": VERSION, "configuration": self.calibration.config_hash.hex()}
+            if self.scale is not None:
+                said["scale"] = {"from": self.scale.word} | asdict(self.scale)
+        return said
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +117,7 @@ class CameraFolds:
         config, self.size = self._config, size
         self._horizon = Horizon(size, config.horizon) if config.horizon else None
         self._calibration = (
-            CalibrationFold(config.calibration, (size.width, size.height), self._scale(size))
+            CalibrationFold(config.calibration, (size.width, size.height), self._scale(size), shared=self._horizon)
             if config.calibration
             else None
         )

@@ -58,6 +58,7 @@ from vian.calibrating import calibrations_in, check_inside, standing_calibration
 from vian.camera_folds import CameraConfig, CameraFolds, Resized
 from vian.errors import WorldFailed, WrongUsage
 from vian.exclusive import exclusively
+from vian.resuming import resume
 
 E = TypeVar("E", bound=EventType)
 
@@ -401,20 +402,9 @@ class _Run:
     def _resume_all(self) -> int:
         """Let each stream go on from where it stood when the process started; how many track points there were."""
         # All at once, before the first frame: later the database may be away, and only appends wait for it.
-        return {event_type: self._resume(event_type) for event_type in _SAID_BY_A_PROCESS}[TrackPoint]
-
-    def _resume(self, event_type: type[EventType]) -> int:
-        """Let a stream go on from where it stood when the process started; how many events all its lives had."""
-        log, stream = self._job.log, self._job.stream(event_type)
-        here = log.stream_head(stream, at_position=self._at_start).sequence
-        at_start, said = here, 0
-        for life in log.lives(stream):
-            if life.epoch < log.epoch:
-                # What was said before the log was restored stays: the process goes on behind it.
-                then = log.stream_head(stream, epoch=life.epoch, at_position=self._at_start).sequence
-                at_start, said = at_start + then, said + life.sequence - then
-        self._appender.resume_at(stream, here - said)
-        return at_start
+        log, appender, at_start = self._job.log, self._appender, self._at_start
+        streams = {event_type: self._job.stream(event_type) for event_type in _SAID_BY_A_PROCESS}
+        return {each: resume(log, appender, stream, at_start) for each, stream in streams.items()}[TrackPoint]
 
     def _state(self) -> dict[str, Any]:
         return {
@@ -533,12 +523,13 @@ def _say_interrupted(job: Job, added: VideoAdded, killed: ProcessStarted, progre
 
 
 def _start(job: Job, added: VideoAdded, process: str) -> tuple[ProcessStarted, int]:
+    configuration = job.config.model_dump(mode="json") | job.options | job.camera.description
     event = ProcessStarted(
         time=job.stamp(added.started_at),
         process=process,
         extractor=motion.NAME,
         extractor_version=motion.VERSION,
-        configuration=json.dumps(job.config.model_dump(mode="json") | job.options, sort_keys=True),
+        configuration=json.dumps(configuration, sort_keys=True),
         video=added.video,
     )
     return event, _append_first(job, event)

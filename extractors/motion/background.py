@@ -4,7 +4,8 @@ Contract: pictures go in one after another; a mask comes out, 255 where somethin
 belong to the background. Three things that would break a plain background model are handled here:
 
 - the camera's exposure changes: each picture is brought to the brightness of the background first;
-- most of the picture changes at once (lights, a cloud, a jolt): no mask, and after a while a new model;
+- most of the picture changes at once (lights, a jolt), or a part of it that still shows the background's edges (a
+  cloud's shadow): no mask, and after a while a new model;
 - people stand still: under boxes that the caller names, the model is not updated, and the mask comes
   from the difference to the background remembered there.
 
@@ -21,6 +22,7 @@ import numpy.typing as npt
 
 from extractors.media import Image
 from extractors.motion.config import MotionConfig
+from extractors.motion.edges import BLOCKS_MIN, compared, share_different, sight
 from extractors.motion.held import FOREGROUND, Box, HeldBackground, Mask
 
 Sample = npt.NDArray[np.float32]
@@ -43,6 +45,8 @@ GREY_SHARE = 0.99
 """A picture is grey where this share of its pixels is."""
 YOUNG_SHARE = 0.5
 """The time constant of a new model, of the configured one, to which it grows as time goes by."""
+UNCHANGED_MIN = 0.5
+"""Where more of the foreground's edges than this share are the background's, the light changed and nothing came."""
 GHOST_CHECK_S = 0.5
 """Time between two looks whether what stands is there at all."""
 
@@ -91,14 +95,15 @@ class Background:
         held = self._held = self._held or HeldBackground(width, height)
         levelled = self._levelled(image, dt_s)
         self._subtractor.setShadowThreshold(GREY_SHADOW_MIN if is_grey(self._sample) else SHADOW_MIN)
-        held.hold(standing, self._dominant)
+        held.hold(standing, lambda: self._dominant(levelled))
         mask = self._subtracted(levelled, dt_s, held)
         share = cv2.countNonZero(mask) / mask.size
         self._is_quiet = mask[:: self._step, :: self._step] == 0
-        self._light_s = self._light_s + dt_s if share > self._config.light_share_max else 0.0
+        is_light_change = self._is_light_change(levelled, mask, share)
+        self._light_s = self._light_s + dt_s if is_light_change else 0.0
         if self._light_s > self._config.light_settle_s:
             self._restart()
-        if share > self._config.light_share_max:
+        if is_light_change:
             return Foreground(np.zeros_like(mask), share, is_light_change=True)
         ghosts = held.ghosts(levelled, mask) if self._is_ghost_check_due(dt_s) else frozenset()
         return Foreground(mask, share, is_light_change=False, ghosts=ghosts)
@@ -130,6 +135,12 @@ class Background:
         held.fill(image, binary)
         return binary
 
+    def _is_light_change(self, image: Image, mask: Mask, share: float) -> bool:
+        """Whether so much is foreground, or so much that shows the edges of the background, that it is the light."""
+        if share <= self._config.light_check_share or share > self._config.light_share_max:
+            return share > self._config.light_share_max
+        return unchanged_share(image, self._dominant(image), mask) > UNCHANGED_MIN
+
     def _is_ghost_check_due(self, dt_s: float) -> bool:
         self._ghost_check_s += dt_s
         if self._ghost_check_s < GHOST_CHECK_S:
@@ -137,13 +148,27 @@ class Background:
         self._ghost_check_s = 0.0
         return True
 
-    def _dominant(self) -> Image:
-        """The background as it was most of the time, without what has stood there for a while."""
+    def _dominant(self, image: Image) -> Image:
+        """The background as it was most of the time, without what has stood there for a while.
+
+        A model that has just begun anew knows nothing of what is behind: what stands there is background.
+        """
         ratio = self._subtractor.getBackgroundRatio()
         self._subtractor.setBackgroundRatio(0.5)
-        image = self._subtractor.getBackgroundImage()
+        background = self._subtractor.getBackgroundImage()
         self._subtractor.setBackgroundRatio(ratio)
-        return np.asarray(image, np.uint8)
+        return image if background is None else np.asarray(background, np.uint8)
+
+
+def unchanged_share(image: Image, background: Image, mask: Mask) -> float:
+    """Share of the foreground that shows the background's edges, of that where it has any, 0 to 1; 0 where few has."""
+    before, now = sight(background).gradients, sight(image).gradients
+    size = (now.shape[1], now.shape[0])
+    is_inside = (
+        np.asarray(cv2.resize(mask, size, interpolation=cv2.INTER_AREA), np.float32)[:, :, None] > FOREGROUND / 2
+    )
+    alike, has_edges = compared(before * is_inside, now * is_inside)
+    return 1 - share_different(alike, has_edges) if has_edges.sum() >= BLOCKS_MIN else 0.0
 
 
 def is_grey(sample: Sample) -> bool:

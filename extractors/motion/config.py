@@ -46,6 +46,9 @@ class MotionConfig(BaseModel):
     """strongest change of the picture's tones that is undone (exposure, white balance), grey levels"""
     light_share_max: Share = 0.6
     """share of the picture in the foreground from which it is a change of light, not objects"""
+    light_check_share: Share = 0.15
+    """share from which it is looked at whether the foreground shows the same edges as the background, so that only the
+    light changed there: one lorry covers as much"""
     light_settle_s: Positive = 0.5
     """duration of such a change after which the background is learnt anew, s"""
 
@@ -133,6 +136,8 @@ class MotionConfig(BaseModel):
     batch_s: Positive = 1.0
     """media time of one batch of events, s"""
 
+    shake_share_max: Share = 0.04
+    """largest shift of the picture that is undone as a shake, of its width; 0: none is"""
     view_lost_share: Share = 0.7
     """the camera is taken to look elsewhere when more than this share of the blocks of the picture that have
     edges show others: a crowd or a lorry covers less"""

@@ -58,7 +58,7 @@ GAIN_MIN = 0.45
 ROUNDS = 2
 """Times the foreground is shared."""
 SHARE_MIN = 0.25
-"""A box with less foreground of its own than this share of its body falls away."""
+"""A box with less foreground of its own than this share of its body is none, or falls away."""
 SHARE_CLEAR = 0.5
 """With more than this it is clearly seen."""
 BLOB_TRUST = 0.5
@@ -202,7 +202,7 @@ def _greedy(crop: _Crop, tracked_xyxy: BoxesXyxy, sizes: SizePrior, factor: int)
     chosen, shares = [], []
     for _ in range(len(boxes)):
         new = _Sums(left).within(body) / area
-        gain = new + fixed
+        gain = np.where(new >= SHARE_MIN, new + fixed, -np.inf)
         best = int(gain.argmax())
         if gain[best] < GAIN_MIN:
             break

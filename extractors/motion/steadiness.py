@@ -16,27 +16,23 @@ from typing import Literal
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from extractors.media import Image
 from extractors.motion.config import MotionConfig
-
-Field = npt.NDArray[np.float32]
+from extractors.motion.edges import (
+    ALIKE_MIN,
+    BLOCKS_MIN,
+    WIDTH,
+    Field,
+    Sight,
+    compared,
+    in_blocks,
+    share_different,
+    sight,
+)
 
 LOOK_S = 0.5
 """Time between two looks, s."""
-WIDTH = 160
-"""Pictures are compared at this width, px: shaking by a hundredth of the picture stays within an edge's blur."""
-BLUR_PX = 1.5
-"""Standard deviation of that blur, px."""
-BLOCKS = (6, 8)
-"""Rows and columns of blocks."""
-EDGES_MIN = 1.0
-"""Root mean square gradient from which a block has edges, grey levels a px: noise has less."""
-BLOCKS_MIN = 6
-"""With fewer blocks that have edges nothing is said."""
-ALIKE_MIN = 0.5
-"""Cosine between two blocks' gradients from which they show the same."""
 MEMORY_S = 20.0
 """Time constant of the memory of the view, s."""
 RENEWAL_DIFFERENT = 0.25
@@ -74,22 +70,13 @@ class View:
     """set in the picture from which on the camera rests again"""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Sight:
-    """A picture as it is compared."""
-
-    grey: Field
-    gradients: Field
-    """`(rows, columns, 2)`, grey levels a px"""
-
-
 class Steadiness:
     """Watches one camera's view."""
 
     def __init__(self, config: MotionConfig) -> None:
         self._config = config
-        self._memory: _Sight | None = None
-        self._anchor: _Sight | None = None
+        self._memory: Sight | None = None
+        self._anchor: Sight | None = None
         """while the view is lost: what the camera may be resting at"""
         self._since_look_s = LOOK_S
         self._differs_s = 0.0
@@ -104,7 +91,7 @@ class Steadiness:
         if self._since_look_s < LOOK_S:
             return View(is_kept=self._anchor is None, is_doubtful=self._is_doubtful)
         step_s, self._since_look_s = self._since_look_s, 0.0
-        now = _sight(image)
+        now = sight(image)
         if self._memory is None:
             self._memory = now
             return View()
@@ -112,10 +99,10 @@ class Steadiness:
             return self._watch(self._memory, now, step_s, image.shape[1] / WIDTH)
         return self._wait(self._anchor, now, step_s)
 
-    def _watch(self, memory: _Sight, now: _Sight, step_s: float, scale: float) -> View:
+    def _watch(self, memory: Sight, now: Sight, step_s: float, scale: float) -> View:
         """Compare with the memory; renew it, or give it up."""
-        alike, has_edges = _compared(memory.gradients, now.gradients)
-        share = _share_different(alike, has_edges)
+        alike, has_edges = compared(memory.gradients, now.gradients)
+        share = share_different(alike, has_edges)
         self._is_doubtful = share > self._config.view_lost_share
         self._differs_s = self._differs_s + step_s if self._is_doubtful else 0.0
         self._kept_s += step_s
@@ -129,10 +116,10 @@ class Steadiness:
         self._anchor, self._rest_s, self._is_doubtful = now, 0.0, False
         return View(is_kept=False, change=change)
 
-    def _wait(self, anchor: _Sight, now: _Sight, step_s: float) -> View:
+    def _wait(self, anchor: Sight, now: Sight, step_s: float) -> View:
         """Wait until the picture stays the same for long enough."""
         self._rest_s += step_s
-        if _share_different(*_compared(anchor.gradients, now.gradients)) > 0.5:
+        if share_different(*compared(anchor.gradients, now.gradients)) > 0.5:
             self._anchor, self._rest_s = now, 0.0
         if self._rest_s < self._rest_needed_s:
             return View(is_kept=False)
@@ -141,38 +128,16 @@ class Steadiness:
         return View(has_rested=True)
 
 
-def _sight(image: Image) -> _Sight:
-    height = max(BLOCKS[0], round(image.shape[0] * WIDTH / image.shape[1]))
-    small = cv2.resize(image, (WIDTH, height), interpolation=cv2.INTER_AREA)
-    grey = cv2.cvtColor(small, cv2.COLOR_BGR2GRAY).astype(np.float32)
-    soft = cv2.GaussianBlur(grey, (0, 0), BLUR_PX)
-    scharr = [cv2.Scharr(soft, cv2.CV_32F, dx, dy, scale=1 / 32) for dx, dy in ((1, 0), (0, 1))]
-    return _Sight(np.asarray(grey, np.float32), np.stack(scharr, axis=2).astype(np.float32))
-
-
-def _compared(one: Field, other: Field) -> tuple[Field, npt.NDArray[np.bool_]]:
-    """Cosine between the gradients of each block, `BLOCKS`, and whether the first has edges there."""
-    product, energy, others = (_blocks((a * b).sum(axis=2)) for a, b in ((one, other), (one, one), (other, other)))
-    cosine = product / np.sqrt(np.maximum(energy * others, 1e-6))
-    return cosine, energy > EDGES_MIN**2
-
-
-def _share_different(alike: Field, has_edges: npt.NDArray[np.bool_]) -> float:
-    """Share of the blocks with edges that differ; 0 where too few have edges to say it."""
-    count = int(has_edges.sum())
-    return float((alike[has_edges] < ALIKE_MIN).sum() / count) if count >= BLOCKS_MIN else 0.0
-
-
-def _renewed(memory: _Sight, now: _Sight, alike: Field, step_s: float) -> _Sight:
+def _renewed(memory: Sight, now: Sight, alike: Field, step_s: float) -> Sight:
     rate = min(1.0, step_s / MEMORY_S)
     blockwise = np.where(alike < ALIKE_MIN, RENEWAL_DIFFERENT * rate, rate).astype(np.float32)
     size = (now.grey.shape[1], now.grey.shape[0])
     rates = np.asarray(cv2.resize(blockwise, size, interpolation=cv2.INTER_NEAREST), np.float32)
     grey = memory.grey + rates * (now.grey - memory.grey)
-    return _Sight(grey, memory.gradients + rates[:, :, None] * (now.gradients - memory.gradients))
+    return Sight(grey, memory.gradients + rates[:, :, None] * (now.gradients - memory.gradients))
 
 
-def _change(memory: _Sight, now: _Sight, share: float, scale: float) -> Change:
+def _change(memory: Sight, now: Sight, share: float, scale: float) -> Change:
     """What befell the view, as far as it can be told."""
     shift = _shift(memory, now)
     if shift is not None:
@@ -181,20 +146,16 @@ def _change(memory: _Sight, now: _Sight, share: float, scale: float) -> Change:
     return Change("covered" if left < DIM_SHARE * energy else "unknown", share, None)
 
 
-def _shift(memory: _Sight, now: _Sight) -> tuple[float, float] | None:
+def _shift(memory: Sight, now: Sight) -> tuple[float, float] | None:
     """By how much the view is shifted, px, if shifting it back makes most of the blocks alike."""
     window = cv2.createHanningWindow((now.grey.shape[1], now.grey.shape[0]), cv2.CV_32F)
-    (dx, dy), _ = cv2.phaseCorrelate(memory.grey, now.grey, window)
+    # It writes into what it is given.
+    (dx, dy), _ = cv2.phaseCorrelate(memory.grey.copy(), now.grey.copy(), window)
     back = np.array([[1, 0, -dx], [0, 1, -dy]], np.float32)
     size = (now.grey.shape[1], now.grey.shape[0])
     gradients = np.asarray(cv2.warpAffine(now.gradients, back, size), np.float32)
     covered = np.asarray(cv2.warpAffine(np.ones_like(now.grey), back, size), np.float32)
-    alike, has_edges = _compared(memory.gradients, gradients)
-    judged = has_edges & (_blocks(covered) > 0.9)
-    is_shift = int(judged.sum()) >= BLOCKS_MIN and _share_different(alike, judged) < 0.5
+    alike, has_edges = compared(memory.gradients, gradients)
+    judged = has_edges & (in_blocks(covered) > 0.9)
+    is_shift = int(judged.sum()) >= BLOCKS_MIN and share_different(alike, judged) < 0.5
     return (float(dx), float(dy)) if is_shift else None
-
-
-def _blocks(values: Field) -> Field:
-    """Mean of each block, `BLOCKS`."""
-    return np.asarray(cv2.resize(values, BLOCKS[::-1], interpolation=cv2.INTER_AREA), np.float32)

@@ -19,6 +19,9 @@ from extractors.media import Image
 from extractors.scene.solids import FACES, SHADES, Floats, Solid
 from extractors.scene.world import Actor, Scene, box_of, clipped, is_in_view
 
+PICTURES = 2
+"""Version of the pictures of a scene: whoever keeps them asks for those of this one."""
+
 Floats32 = npt.NDArray[np.float32]
 
 NOISE_PICTURES = 8

@@ -32,6 +32,7 @@ from events import (
 from extractors import video
 from extractors.calibration import CalibrationConfig
 from extractors.errors import DecoderDied, MaskUnreadable, VideoUnreadable
+from extractors.horizon import HorizonConfig
 from extractors.media import Frame, Gap, GapReason, Shape
 from store import Log, LogUnavailable
 from tests.conftest import Server
@@ -172,7 +173,20 @@ def test_a_stop_between_any_two_appends_is_made_good(
 GUESSING = CameraConfig(
     horizon=None,
     calibration=CalibrationConfig(
-        tracks_min=2, points_min=2, growth_min=1, explained_min=0, focal_error_max=100, height_error_max=100
+        camera=HorizonConfig(
+            update_s=0.5,
+            tracks_min=1,
+            vote_places_min=3,
+            vote_significance=0.01,
+            noise_max=100,
+            deviation_share_max=1e9,
+            roll_spread_deg=60,
+            roll_learnt_min=0,
+        ),
+        aspect_min=0.01,
+        aspect_max=100,
+        focal_error_max=100,
+        height_error_max=100,
     ),
 )
 """Says a calibration wherever two have walked, right or wrong: here it is about when it is said, and how often."""

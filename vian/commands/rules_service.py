@@ -150,7 +150,10 @@ def status(
         for source, events in each.uncalibrated.items():
             output.line(f"{each.service.rule} version {each.service.version} found no metres in {events} events of "
                         f"{source}, which is not calibrated")  # fmt: skip
-            output.note(f"Next: vian zones calibrate {source} POINTS.yaml, or leave the source out in the rule's FROM")
+            output.note(
+                f"Next: vian extract calibration --source {source} says what is missing; vian zones calibrate {source} "
+                "POINTS.yaml, or leave the source out in the rule's FROM"
+            )
         gone = each.service.retirement
         if gone is not None and each.state in ("failed", "too_slow"):
             output.line(f"{each.service.rule} version {each.service.version} was set aside {gone.reason}")

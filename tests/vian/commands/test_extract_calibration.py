@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from psycopg.rows import dict_row
 
 from events import (
     EventType,
@@ -18,7 +19,8 @@ from events import (
     encode,
 )
 from extractors.calibration import Camera
-from store import Log
+from store import Log, Projector
+from store.field import field_session
 from tests.events.examples import camera_calibrated, track_point
 from tests.extractors.synthetic import walks
 from tests.patterns.walkers import STATION
@@ -95,6 +97,29 @@ def test_a_camera_is_calibrated_from_its_tracks_once(calibrate: Calibrate, log: 
     mapped = np.array([(row["ground_x"], row["ground_y"]) for row in every])
     told_m = np.array([(row["ground_x_deviation"], row["ground_y_deviation"]) for row in every])
     assert np.median(np.hypot(*(mapped - seen.feet_enu).T) / np.hypot(*told_m.T)) < 2
+
+
+def test_psql_and_central_have_the_same_metres(calibrate: Calibrate, log: Log) -> None:
+    add_video(log)
+    walk(log, Camera(700.0, 0.4, 0.05, 5.0, 768, 576))
+    assert calibrate("--source", "cam-01").code == 0
+    say(log, track_point(time=START + timedelta(minutes=1), x=300.0, y=500.0, vx=0.0, vy=0.0, y1=400.0, y2=500.0))
+    say(log, track_point(time=START + timedelta(minutes=1), x=300.0, y=-900.0, vx=5.0, vy=0.0))  # above the horizon
+    Projector(log).catch_up()
+    here = rows(log, "select * from track_ground order by position, sequence")
+    with log.connection() as connection, connection.cursor(row_factory=dict_row) as cursor:
+        there = cursor.execute("select * from track_ground order by position, sequence").fetchall()
+    assert [row.keys() for row in here[:1]] == [row.keys() for row in there[:1]]
+    for one, other in zip(here, there, strict=True):
+        assert other == {name: pytest.approx(each, rel=1e-6, abs=1e-9) if isinstance(each, float) else each
+                         for name, each in one.items()}  # fmt: skip
+    assert here[-1]["ground_x"] is here[-1]["ground_x_deviation"] is None
+    for stations, count in ((["elsewhere"], 0), ([STATION], len(here))):
+        with field_session(log, stations) as session:
+            asked = session.lines(
+                "select count(ground_x_deviation) + 1 from field_track_ground", 1, rows_max=2, bytes_max=99
+            )
+            assert list(asked) == [f"[{max(count, 1)}]"]
 
 
 def told_position(log: Log) -> int:
