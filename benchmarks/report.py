@@ -243,7 +243,7 @@ def of_long_input(said: dict[str, Any]) -> Iterator[str]:
         f"{said['events']:,} events, from the video to stored segments.\n"
     )
     yield "![resident memory over the minutes of the input](performance-long-input.svg)\n"
-    yield "| process | largest in the first third | in the second | in the last | last of first | target |"
+    yield "| process | largest in the first third | in the second | in the last | last over first | target |"
     yield "|---|---:|---:|---:|---:|---|"
     third = len(samples) // 3
     for name, key in (("extractor, with the horizon", "extractor_mb"), ("decoding process", "decoder_mb")):

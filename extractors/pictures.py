@@ -4,8 +4,8 @@ Contract: one picture out for each frame in, in order; deinterlacing holds one b
 is done to pictures beyond a change of format is told once, in words.
 
 Interlaced frames are deinterlaced by FFmpeg's bwdif, one picture a frame. Grey frames of more than 8 bits
-are mapped by a window that their first frame sets: most such cameras use a small part of the range, and
-the upper 8 bits alone would show nothing.
+are mapped by a window that their first frame sets, and others widen where much lies outside: most such cameras
+use a small part of the range, and the upper 8 bits alone would show nothing.
 """
 
 from collections import deque
@@ -29,6 +29,10 @@ WINDOW_QUANTILES = (0.001, 0.999)
 """The part of a deep grey picture that its window is laid around: single hot pixels do not count."""
 WINDOW_MARGIN = 0.5
 """Room on each side of that part, of its width: what comes later may be brighter or darker."""
+WINDOW_OUTSIDE_MAX = 0.05
+"""With more of a picture than this share outside, the window is widened: the first may have shown a closed shutter."""
+WINDOW_STEP = 4
+"""Every so manieth row and column is looked at for that."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,15 +113,27 @@ class Pictures:
 
     def _levelled(self, grey: npt.NDArray[np.uint16]) -> Image:
         """A picture `(height, width, 3)` of 8 bits from grey levels `(height, width)` of 16."""
-        if self._window is None:
-            self._window = grey_window(grey)
-            self._tell(
-                f"the pictures have more than 8 bits of grey: levels {self._window[0]:.0f} to {self._window[1]:.0f} "
-                f"of {LEVELS} are shown, as the first picture needs them"
-            )
-        low, high = self._window
+        low, high = self._window = self._widened(grey)
         bright = np.clip((grey.astype(np.float32) - low) * (255 / (high - low)), 0, 255)
         return np.repeat(bright.astype(np.uint8)[:, :, None], 3, axis=2)
+
+    def _widened(self, grey: npt.NDArray[np.uint16]) -> tuple[float, float]:
+        """The window, wide enough for the picture."""
+        if self._window is None:
+            low, high = grey_window(grey)
+            self._tell(
+                f"the pictures have more than 8 bits of grey: levels {low:.0f} to {high:.0f} of {LEVELS} are shown, as "
+                "the first picture needs them"
+            )
+            return low, high
+        low, high = self._window
+        some = grey[::WINDOW_STEP, ::WINDOW_STEP]
+        if np.mean((some < low) | (some > high)) <= WINDOW_OUTSIDE_MAX:
+            return self._window
+        lower, higher = grey_window(grey)
+        low, high = min(low, lower), max(high, higher)
+        self._tell(f"much of the picture lies outside of the levels shown: from here on {low:.0f} to {high:.0f} are")
+        return low, high
 
 
 class _Deinterlacer:

@@ -11,9 +11,10 @@ from pathlib import Path
 import pytest
 
 from extractors.addresses import Address, parsed
+from extractors.decoder import SLOT_TOLERANCE_US
 from extractors.errors import DecoderStalled, StreamLost, VideoError, VideoUnreadable
 from extractors.live import Live, LiveLimits
-from extractors.media import Frame, Gap, GapReason
+from extractors.media import Frame, Gap, GapReason, Shape
 from tests.certificates import self_signed
 from tests.extractors.streams import Camera, http, rtsp, unused_port
 
@@ -142,6 +143,14 @@ def test_a_camera_that_wants_a_login_gets_it() -> None:
 def test_a_redirection_to_a_file_is_refused() -> None:
     with http("redirect") as url, pytest.raises(VideoUnreadable, match="not a live stream"), Live(address(url), QUICK):
         pass
+
+
+def test_a_lower_rate_leaves_pictures_of_a_live_stream_out() -> None:
+    with rtsp(Camera()) as url, Live(address(url), QUICK, Shape(fps=5)) as live:
+        found = [item for item in islice(live.frames(), 6) if isinstance(item, Frame)]
+    slots = [(round(1e6 * live.started_at.timestamp()) + SLOT_TOLERANCE_US + each.time_us) // 200_000 for each in found]
+    assert len(found) >= 5
+    assert len(set(slots)) == len(slots)
 
 
 def test_a_camera_that_sends_by_udp_only_is_read() -> None:

@@ -77,6 +77,18 @@ def test_grey_of_16_bits_shows_what_a_thermal_camera_sees(tmp_path: Path) -> Non
     assert abs(np.median(found[0].image) - np.median(found[2].image)) <= 1, "one window for all"
 
 
+def test_a_thermal_camera_that_begins_with_its_shutter_closed_is_not_blind(tmp_path: Path) -> None:
+    shutter = np.full((48, 64), 20_000, np.uint16)
+    warm = np.full((48, 64), 22_000, np.uint16)
+    warm[20:40, 10:20] = 22_600
+    found, gaps = split(film_of(tmp_path / "film.mkv", [shutter, warm, shutter, warm], "gray16le"))
+    assert [(gap.reason, gap.before_index) for gap in gaps] == [(GapReason.CONVERTED, 0), (GapReason.CONVERTED, 1)]
+    assert "lies outside of the levels shown" in gaps[1].detail
+    for frame in found[1::2]:
+        assert frame.image[30, 15, 0] - frame.image[5, 5, 0] > 30
+    assert (found[1].image == found[3].image).all()
+
+
 def test_a_picture_of_one_level_has_a_window_too(tmp_path: Path) -> None:
     found, _ = split(film_of(tmp_path / "film.mkv", [np.full((48, 64), 900, np.uint16)] * 2, "gray16le"))
     assert len(found) == 2

@@ -421,6 +421,15 @@ def test_gaps_are_recorded_where_they_are(log: Log, clip: Path, monkeypatch: pyt
     assert [event.note for event in said(log, ProcessProgressed)] == ["before frame 25: 3 packets did not decode"]
 
 
+def test_gaps_are_told_unless_there_are_very_many(log: Log, clip: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    gap, notes = Gap(25, GapReason.CORRUPT, "3 packets did not decode"), list[str]()
+    monkeypatch.setattr(extraction.video, "frames", _changed(video.frames, lambda frame: frame.index >= 25, gap))
+    done = extract_motion(job(log, clip, on_note=notes.append))
+    assert done.gaps == 35
+    assert notes == [str(gap)] * extraction.NOTES_OF_A_KIND_MAX + [notes[-1]]
+    assert "corrupt: more of the kind are not told here, but recorded. Next: vian query" in notes[-1]
+
+
 def test_a_video_that_fails_halfway_keeps_what_was_said(log: Log, clip: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with monkeypatch.context() as patched:
         died = DecoderDied(f"{clip}: the decoder was ended by signal SIGSEGV after frame 44")

@@ -1,8 +1,10 @@
 """Live streams into a real log: interruptions, kills, and nothing of a login anywhere."""
 
+import ssl
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -25,6 +27,7 @@ from extractors.errors import DecoderStalled
 from extractors.live import LiveLimits
 from extractors.media import Shape
 from store import Log
+from tests.certificates import self_signed
 from tests.extractors.streams import Camera, rtsp
 from vian.extraction import Job, extract_motion
 
@@ -116,6 +119,18 @@ def test_a_camera_that_never_answers_leaves_no_trace(log: Log) -> None:
     with rtsp(Camera(is_mute=True)) as url, pytest.raises(DecoderStalled, match="Next: is the camera on"):
         extract_motion(job(log, url, live=replace(LIMITS, connect_s=1)))
     assert log.head() == 0
+
+
+def test_that_nobody_checks_the_cameras_certificate_is_told(log: Log, tmp_path: Path) -> None:
+    own, notes = self_signed(tmp_path / "camera.pem", "127.0.0.1"), list[str]()
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.load_cert_chain(own)
+    with rtsp(Camera(tls=context)) as url:
+        for ca_file in (None, own):
+            extract_motion(job(log, url, ca_file=ca_file, on_note=notes.append, **until(10)))
+    (note,) = [note for note in notes if "certificate" in note]
+    assert f"{url}: nobody checks the camera's certificate" in note
+    assert "Next: VIAN_LIVE_CA_FILE=FILE" in note
 
 
 def test_smaller_pictures_leave_events_in_the_videos_own_pixels(log: Log) -> None:
