@@ -24,8 +24,8 @@ from extractors.horizon import FrameSize, Horizon, HorizonConfig
 OTHER_VIEWS = frozenset({"moved", "unknown"})
 """Causes of `scene_changed` after which tracks may be seen from elsewhere: what is found next rests on new ones."""
 AGREEMENT_DEVIATIONS = 3.7
-"""All four numbers of two calibrations of one camera differ by less, in standard deviations of their differences, in 999
-of 1,000 cases (normal distribution, Bonferroni); those of a camera that was turned differ by far more."""
+"""All four numbers of two calibrations of one camera differ by less, in standard deviations of their differences, in
+999 of 1,000 cases (normal distribution, Bonferroni); those of a camera that was turned differ by far more."""
 
 
 @dataclass(frozen=True, slots=True)
