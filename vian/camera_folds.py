@@ -23,9 +23,9 @@ from extractors.horizon import FrameSize, Horizon, HorizonConfig
 
 OTHER_VIEWS = frozenset({"moved", "unknown"})
 """Causes of `scene_changed` after which tracks may be seen from elsewhere: what is found next rests on new ones."""
-AGREEMENT_DEVIATIONS = 3.08
-"""Two calibrations of one camera differ by less, in standard deviations of their difference, in 95 of 100 cases: the
-root of the 95 % quantile of chi square with four degrees of freedom."""
+AGREEMENT_DEVIATIONS = 3.7
+"""All four numbers of two calibrations of one camera differ by less, in standard deviations of their differences, in
+999 of 1,000 cases (normal distribution, Bonferroni); those of a camera that was turned differ by far more."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,20 +169,20 @@ class CameraFolds:
 def is_better(new: CameraCalibrated, standing: CameraCalibrated) -> bool:
     """Whether the new calibration is surer than the one that stands, or contradicts it; of one by hand it is neither.
 
-    Surer is a smaller determinant of the covariance: the volume within which the camera's four numbers are known.
+    Each number is looked at by itself: a covariance from a few tracks claims too much of what they say together.
     """
     if standing.covariance is None:
         return False
-    (numbers, covariance), (others, other_covariance) = _numbers(new, new.width), _numbers(standing, new.width)
-    (_, sureness), (_, other_sureness) = np.linalg.slogdet(covariance), np.linalg.slogdet(other_covariance)
-    change = numbers - others
-    distance = np.sqrt(change @ np.linalg.solve(covariance + other_covariance, change))
-    return bool(sureness < other_sureness or distance > AGREEMENT_DEVIATIONS)
+    numbers, deviations = _numbers(new, new.width)
+    others, other_deviations = _numbers(standing, new.width)
+    is_surer = np.log(deviations).sum() < np.log(other_deviations).sum()
+    distance = np.abs(numbers - others) / np.hypot(deviations, other_deviations)
+    return bool(is_surer or distance.max() > AGREEMENT_DEVIATIONS)
 
 
 def _numbers(event: CameraCalibrated, width: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Focal length in px of a frame of this width, pitch, roll and height `(4,)`, and their covariance `(4, 4)`."""
+    """Focal length in px of a frame of this width, pitch, roll and height, and their standard deviations, `(4,)`."""
     assert event.covariance is not None, "the caller has looked"
     units = np.array([width / event.width, 1.0, 1.0, 1.0])
     numbers = np.array([event.focal_px, event.pitch_rad, event.roll_rad, event.height_m], np.float64)
-    return numbers * units, np.array(json.loads(event.covariance), np.float64) * np.outer(units, units)
+    return numbers * units, np.sqrt(np.diag(json.loads(event.covariance))) * units

@@ -179,8 +179,7 @@ class Settings(BaseSettings):
     live_queue_frames: Annotated[int, Field(ge=1, le=256)] = 8
     """pictures of a live stream that wait for the extractor; of more the oldest are left out, and counted"""
     live_ca_file: Path | None = None
-    """certificates (PEM) of which a camera of `rtsps` or `https` must have one, or one that they vouch for; by default
-    none is checked, for most cameras make their own"""
+    """certificates (PEM) that vouch for cameras of `rtsps` or `https`; by default no certificate is checked"""
 
     @classmethod
     def settings_customise_sources(

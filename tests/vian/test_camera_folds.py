@@ -93,9 +93,9 @@ def test_a_camera_that_was_moved_is_calibrated_anew_from_what_it_sees_then(walke
 
 
 def test_few_tracks_do_not_replace_what_many_said_and_agree_with(walked: Walks) -> None:
-    many = calibrations(
-        CameraFolds(SIZE, NO_HORIZON).add([points_of(walks(CAMERA, people=16, seconds=16, noise_share=0.01))])
-    )[-1]
+    folds = CameraFolds(SIZE, NO_HORIZON)
+    crowd = walks(CAMERA, people=20, seconds=16, noise_share=0.01)
+    many = calibrations([*folds.add([points_of(crowd)]), *folds.finish()])[-1]
     few = CameraFolds(SIZE, NO_HORIZON, many)
     assert not calibrations([*few.add([points_of(walked)]), *few.finish()])
     moved = CameraFolds(SIZE, NO_HORIZON, many)
@@ -132,7 +132,8 @@ def test_a_length_that_was_marked_in_one_size_holds_in_the_other(walked: Walks) 
     )
     folds.resize(SIZE)
     found = calibrations([*folds.add([points_of(walked)]), *folds.finish()])
-    assert (found[-1].scale, found[-1].height_m) == ("length", pytest.approx(CAMERA.height_m, rel=0.1))
+    assert found[-1].scale == "length"
+    assert found[-1].height_m == pytest.approx(CAMERA.height_m, rel=0.1)
 
 
 def test_better_is_surer_or_contradicting() -> None:
