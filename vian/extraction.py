@@ -311,6 +311,15 @@ class _Run:
         if self._job.on_progress is not None:
             self._job.on_progress(self._frames, None if self._job.shape.fps else self._info.frames_expected)
 
+    def _tell(self, gaps: Iterable[Gap]) -> None:
+        """Tell people of the gaps, but not of each where there are very many of a kind."""
+        for gap in gaps:
+            self._told[gap.reason] += 1
+            if self._told[gap.reason] <= NOTES_OF_A_KIND_MAX:
+                self._job.note(str(gap))
+            elif self._told[gap.reason] == NOTES_OF_A_KIND_MAX + 1:
+                self._job.note(f"{gap.reason}: more of the kind are not told here, but recorded. Next: {_ALL_NOTES}")
+
     def _watched(self, frames: Iterable[Frame | Gap]) -> Iterator[Frame | Gap]:
         """The frames as they come; where their size changes, to what."""
         is_resized = False
@@ -339,15 +348,6 @@ class _Run:
                 sizes = {"width": change.size.width, "height": change.size.height}
                 self._footage = self._added.model_copy(update=sizes | {"time": self._job.stamp(time)})
             yield batch_of([self._footage])
-
-    def _tell(self, gaps: Iterable[Gap]) -> None:
-        """Tell people of the gaps, but not of each where there are very many of a kind."""
-        for gap in gaps:
-            self._told[gap.reason] += 1
-            if self._told[gap.reason] <= NOTES_OF_A_KIND_MAX:
-                self._job.note(str(gap))
-            elif self._told[gap.reason] == NOTES_OF_A_KIND_MAX + 1:
-                self._job.note(f"{gap.reason}: more of the kind are not told here, but recorded. Next: {_ALL_NOTES}")
 
     def _of_the_stream(self, gaps: Iterable[Gap]) -> Iterator[EventBatch]:
         """What is to be said of the live stream itself: that it was interrupted, or came back."""

@@ -128,6 +128,11 @@ class HorizonConfig(BaseModel):
     and the swing of legs make ways seem longer, most so along the view"""
     pace_weight: Annotated[float, Field(gt=0, le=1)] = 0.4
     """how much a stretch counts: changes of pace last for more than one"""
+    pace_trend: Share = 0.1
+    """standard deviation of what all paces may change by across the frame (their logarithm): people slow down at a
+    door or a crossing, whoever they are"""
+    height_trend: Share = 0.02
+    """likewise of heights: ground that is not quite a plane"""
     model_share: Positive = 0.004
     """standard deviation of what the model leaves out (lens distortion, uneven ground), of the frame's height"""
 

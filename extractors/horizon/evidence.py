@@ -38,6 +38,8 @@ class Part:
     """each track's part of the gradient, `(tracks, c)`"""
     hessians: Floats
     """each track's part of the Hessian, `(tracks, c, c)`"""
+    trends: Floats
+    """what the gradient would be by a misfit that grows by its usual trend over the frame, `(trends, c)`"""
     coupling: Floats
     own_hessian: Floats
     own_gradient: Floats
@@ -60,6 +62,7 @@ class Evidence(ABC):
         noise_floor: float,
         own_spread: float,
         own_tail: float,
+        trends: Floats,
     ) -> None:
         """Set the statistics.
 
@@ -71,10 +74,12 @@ class Evidence(ABC):
             noise_floor: Smallest scale that is believed.
             own_spread: Scale of the tracks' own unknowns about nought.
             own_tail: Their degrees of freedom.
+            trends: What all misfits may have in common by where they are in the frame, one standard deviation of each
+                trend, `(n, trends)`.
         """
         self._track, self._tracks, self._weight = track, tracks, weight
         self._tail, self._noise_floor = tail, noise_floor
-        self._own_spread, self._own_tail = own_spread, own_tail
+        self._own_spread, self._own_tail, self._trends = own_spread, own_tail, trends
         self.counts = np.bincount(track, minlength=tracks)
 
     @abstractmethod
@@ -127,7 +132,9 @@ class Evidence(ABC):
         products = (weights[:, None, None] * jacobian[:, :, None] * jacobian[:, None, :]).reshape(-1, size * size)
         hessians = self._sums_of(products).reshape(-1, size, size)
         hessians -= coupling[:, :, None] * coupling[:, None, :] / own_hessian[:, None, None]
-        return Part(scores, hessians, coupling, own_hessian, own_gradient)
+        trends = (weights[:, None] * self._trends).T @ jacobian
+        trends -= (self._sums_of((weights * by_own)[:, None] * self._trends) / own_hessian[:, None]).T @ coupling
+        return Part(scores, hessians, trends, coupling, own_hessian, own_gradient)
 
     def _jacobian(self, camera: Floats, own: Floats, misfits: Floats) -> Floats:
         """Derivatives of the misfits by the camera, negative, `(n, c)`."""

@@ -88,6 +88,10 @@ class _Normal:
         return self.heights.scores + self.paces.scores
 
     @property
+    def trends(self) -> Floats:
+        return np.concatenate([self.heights.trends, self.paces.trends])
+
+    @property
     def hessians(self) -> Floats:
         return self.heights.hessians + self.paces.hessians
 
@@ -184,7 +188,8 @@ class _Problem:
         count = len(inverse)
         left_out = (1 + LEVERAGE_MIN) * np.eye(count) - normal.hessians @ inverse
         scores = np.linalg.solve(left_out, normal.scores[:, :, None])[:, :, 0]
-        meat = scores.T @ scores + self._prior
+        trends = normal.trends
+        meat = scores.T @ scores + trends.T @ trends + self._prior
         shares = np.einsum("ijk,kj->i", normal.hessians, inverse)
         freedom = max(shares.sum() ** 2 / (shares**2).sum() - 1, TRACKS_FEW)
         factor = student.ppf(0.975, freedom) / student.ppf(0.975, np.inf)

@@ -198,7 +198,7 @@ class Horizon:
         if votes < config.tracks_min:
             self.reason = f"a horizon takes {config.tracks_min} tracks that come or go, got {votes}"
             return None
-        fit = fitted(places_of(paths, config), self._size, config, STARTS)
+        fit = fitted(places_of(paths, self._size, config), self._size, config, STARTS)
         if not fit.noise <= config.noise_max:
             self.reason = (
                 f"the boxes' edges are off by {fit.noise:.0%} of their heights, wanted {config.noise_max:.0%}: "

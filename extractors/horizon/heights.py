@@ -25,6 +25,7 @@ class Heights(Evidence):
             noise_floor=config.noise_floor,
             own_spread=config.object_spread,
             own_tail=config.object_tail,
+            trends=config.height_trend * places.frame_xy,
         )
         self._places, self._size = places, size
         self._height_px = np.exp(places.log_height)

@@ -30,6 +30,7 @@ class Paces(Evidence):
             noise_floor=config.pace_floor,
             own_spread=config.pace_spread,
             own_tail=config.object_tail,
+            trends=config.pace_trend * (places.frame_xy[self._from] + places.frame_xy[self._to]) / 2,
         )
 
     def misfits(self, camera: Floats, own: Floats) -> Floats:

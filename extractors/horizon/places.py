@@ -33,6 +33,8 @@ class Places:
     """how much the box has the shape that most have, 0 to 1, `(n,)`"""
     points: Floats
     """track points that the place is made of, `(n,)`"""
+    frame_xy: Floats
+    """where in the frame that is, -0.5 to 0.5 on both axes, `(n, 2)`"""
     aspect: float
     """height over width that most have; 0 without places"""
 
@@ -82,13 +84,12 @@ def is_whole(boxes_xyxy: Floats, confidence: Floats, size: FrameSize, config: Ho
     border = config.border_share * size.height
     edges = np.array([0, 0, size.width, size.height])
     is_cut = (np.abs(boxes_xyxy - edges) < border).any(axis=1)
-    heights = boxes_xyxy[:, 3] - boxes_xyxy[:, 1]
-    return np.asarray(
-        ~is_cut & (heights >= config.height_share_min * size.height) & (confidence >= config.confidence_min)
-    )
+    widths, heights = (boxes_xyxy[:, 2:] - boxes_xyxy[:, :2]).T
+    is_high = heights >= config.height_share_min * size.height
+    return np.asarray(~is_cut & is_high & (widths > 0) & (confidence >= config.confidence_min))
 
 
-def places_of(paths: Iterable[Path], config: HorizonConfig) -> Places:
+def places_of(paths: Iterable[Path], size: FrameSize, config: HorizonConfig) -> Places:
     """The places of these tracks as columns, in order."""
     rows = [np.insert(path.rows(), 0, index, axis=1) for index, path in enumerate(paths)]
     table = np.concatenate(rows) if rows else np.zeros((0, 7))
@@ -102,5 +103,6 @@ def places_of(paths: Iterable[Path], config: HorizonConfig) -> Places:
         log_height=np.log(table[:, 5]),
         likeness=1 / (1 + unlike**2) ** 2,
         points=table[:, 6],
+        frame_xy=table[:, 2:4] / [size.width, size.height] - 0.5,
         aspect=float(np.exp(usual)),
     )
