@@ -12,7 +12,8 @@ from extractors import video as video_files
 from store import open_log
 from store.schema import safe_dsn
 from vian import options
-from vian.demo.clip import Origin, choose, square_clip
+from vian.demo.cameras import CameraFound
+from vian.demo.clip import Origin, choose, shown
 from vian.demo.run import ANSWER_SQL, CENTRAL_DIR, Summary, run_demo, summary_rows
 from vian.errors import WorldFailed
 from vian.options import open_from, settings_for
@@ -47,11 +48,10 @@ def demo(
     output.note(f"clip: {clip.path}" + (f"\n{clip.attribution}" if clip.attribution else ""))
     if clip.origin is Origin.GIVEN:
         video_files.probe(clip.path)  # what is no video is told before two servers are started
-    clips = [clip] if clip.origin is Origin.GIVEN else [clip, square_clip()]
     summary = run_demo(
         lambda: open_from(settings, data_dir=data_dir),
         lambda: open_log(data_dir=settings.data_dir / CENTRAL_DIR),
-        clips,
+        shown(clip),
         report,
         output,
     )
@@ -86,6 +86,8 @@ def _print(summary: Summary, output: Output, place: str) -> None:
                 "events": summary.events,
                 "bytes_per_event": round(summary.bytes_per_event, 2),
                 "situations": {row["rule"]: row["situations"] for row in summary.situations.to_pylist()},
+                "cameras": {found.source: _camera(found) for found in summary.cameras},
+                "in_metres": list(summary.in_metres),
                 "events_replicated": summary.events_replicated,
                 "sound": summary.is_sound,
                 "seconds": round(summary.seconds, 2),
@@ -101,6 +103,17 @@ def _print(summary: Summary, output: Output, place: str) -> None:
     output.line(f'next:   {program} query{place} "{ANSWER_SQL}"')
     output.line(f'        {program} query{place} "SELECT type, count(*) FROM events GROUP BY ALL"')
     output.line(f"        {program} tail{place} --type situation_detected")
+
+
+def _camera(found: CameraFound) -> dict[str, float | None]:
+    """What was found of a camera, for machines."""
+    estimate, calibration = found.estimate, found.calibration
+    return {
+        "slope": estimate.slope if estimate else None,
+        "offset_px": estimate.offset_px if estimate else None,
+        "focal_px": calibration.focal_px if calibration else None,
+        "height_m": calibration.height_m if calibration else None,
+    }
 
 
 def _check_writable(report: Path) -> None:

@@ -92,13 +92,13 @@ def choose(
     return _street()
 
 
-def square_clip() -> Clip:
-    """The rendered square.
+def shown(clip: Clip) -> list[Clip]:
+    """The clip, and beside all but a user's own the rendered square.
 
     Raises:
-        WorldFailed: There is no place for it.
+        WorldFailed: There is no place for the square.
     """
-    return _scene("square", SQUARE, Origin.SQUARE)
+    return [clip] if clip.origin is Origin.GIVEN else [clip, _scene("square", SQUARE, Origin.SQUARE)]
 
 
 def _street() -> Clip:

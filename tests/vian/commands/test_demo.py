@@ -45,6 +45,9 @@ def test_a_demo_ends_with_a_summary_and_the_next_commands(log: Log, central: Log
     values = json.loads(again.out)
     assert (values["origin"], values["frames"], values["sound"]) == ("given", 60, True)
     assert values["events"] == values["events_replicated"]
+    (camera,) = values["cameras"].values()
+    assert camera == dict.fromkeys(("slope", "offset_px", "focal_px", "height_m"))
+    assert values["in_metres"] == []
     assert sum(values["situations"].values()) == 2
     assert Path(values["report"]).name == "other.html"
     assert "frames" not in again.err, "progress is for terminals"

@@ -12,7 +12,7 @@ import pooch
 import pytest
 
 from vian.demo import clip as clips
-from vian.demo.clip import ATTRIBUTION, NAME, Origin, choose
+from vian.demo.clip import ATTRIBUTION, NAME, Clip, Origin, choose, shown
 from vian.errors import WorldFailed, WrongUsage
 
 CONTENT = b"stands in for the clip" * 100
@@ -172,6 +172,12 @@ def test_the_street_is_rendered_once_and_never_left_half_done(quick_street: list
     paths = {choose(None, NOWHERE, lambda _: None, url="http://127.0.0.1:9/x").path for _ in range(2)}
     assert [path.read_bytes() for path in paths] == [b"street"]
     assert len(quick_street) == 1
+
+
+def test_beside_all_but_a_users_own_clip_the_square_is_shown(quick_street: list[Path]) -> None:
+    clips = [Clip(Path("a.mp4"), origin, None) for origin in (Origin.GIVEN, Origin.SAMPLES, Origin.RENDERED)]
+    assert [[each.origin for each in shown(clip)][1:] for clip in clips] == [[], [Origin.SQUARE], [Origin.SQUARE]]
+    assert len(quick_street) == 1, "it is rendered once"
 
 
 def test_without_a_place_for_it_the_next_step_is_told(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
