@@ -127,12 +127,13 @@ def _horizons(data: Path) -> Iterator[Row]:
 def _pets_horizon(data: Path, video: Watched) -> Iterator[Row]:
     info = video.info
     truth = read_truth(data / PETS / "View_001.xml", info.width, info.height)
-    said = {each.method: each for each in _summed([Scene("pets", info.width, info.height, video.boxes, truth)])}
+    scene = Scene("pets", info.width, info.height, video.boxes, truth)
+    said = {each.method: each for each in _summed([scene], is_of_blobs=True)}
     yield _row("horizon of the PETS clip, from its video", "error", said, "median", target=0.03, at_least=False)
 
 
-def _summed(scenes: Sequence[Scene]) -> list[Summary]:
-    return summaries(list(judged(scenes, estimators())))
+def _summed(scenes: Sequence[Scene], *, is_of_blobs: bool = False) -> list[Summary]:
+    return summaries(list(judged(scenes, estimators(is_of_blobs=is_of_blobs))))
 
 
 def _row(what: str, measure: str, said: dict[str, Summary], name: str, **wanted: Any) -> Row:

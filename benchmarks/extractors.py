@@ -1,6 +1,6 @@
 """How fast extraction is, beside OpenCV on the same frames in the same run.
 
-    python -m benchmarks.extractors [--quick] [--threads N] [--lines N] [--hour [--minutes M]] [VIDEO ...]
+    python -m benchmarks.extractors [--quick] [--threads N] [--lines N] [VIDEO ...]
 
 Two tables, medians of five rounds in which the candidates take turns:
 
@@ -8,7 +8,6 @@ Two tables, medians of five rounds in which the candidates take turns:
   process, and OpenCV's reader, which is not safe (docs/decisions/0006-video-decoding.md);
 - motion: the motion extractor from decoded frames to batches of events, beside OpenCV's MOG2 alone.
 
-With `--hour` it prints memory over an hour-long input instead (`benchmarks.long_input`).
 Without a video it renders the synthetic street.
 """
 
@@ -25,7 +24,6 @@ import av
 import cv2
 import numpy as np
 
-from benchmarks.long_input import memory_over
 from extractors import scene
 from extractors.media import Frame
 from extractors.motion import MotionConfig, extract
@@ -42,17 +40,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--quick", action="store_true", help="one round of 100 frames")
     parser.add_argument("--threads", type=int, default=1, help="OpenCV's threads (default 1)")
     parser.add_argument("--lines", type=int, help="bring the pictures to so many lines before motion is measured")
-    parser.add_argument("--hour", action="store_true", help="memory over a long input instead")
-    parser.add_argument("--minutes", type=float, default=60.0, help="length of that input (default 60)")
     options = parser.parse_args(arguments)
     cv2.setNumThreads(options.threads)
     rounds, frames_max = (1, 100) if options.quick else (ROUNDS, 400)
     with tempfile.TemporaryDirectory() as folder:
         for video in options.videos or [_street(Path(folder))]:
-            if options.hour:
-                memory_over(video, options.minutes)
-            else:
-                _measure(video, rounds, frames_max, options.lines)
+            _measure(video, rounds, frames_max, options.lines)
 
 
 def _measure(video: Path, rounds: int, frames_max: int, lines: int | None) -> None:

@@ -38,6 +38,8 @@ def page() -> str:
         sections += of_sync(_loaded("sync"))
     if (RESULTS / "accuracy.json").exists():
         sections += of_accuracy(_loaded("accuracy"))
+    if (RESULTS / "long_input.json").exists():
+        sections += of_long_input(_loaded("long_input"))
     return "\n".join([_HEAD, *sections])
 
 
@@ -228,6 +230,28 @@ def of_accuracy(said: dict[str, Any]) -> Iterator[str]:
         beside = ", ".join(f"{name} {_figure(value)}" for name, value in row["references"].items() if value is not None)
         wanted = row["wanted"] and f"{row['wanted']}: {'reached' if row['is_reached'] else 'missed'}"
         yield f"| {row['what']} | {row['measure']} | {_figure(row['ours'])} | {beside} | {wanted} |"
+    yield ""
+
+
+def of_long_input(said: dict[str, Any]) -> Iterator[str]:
+    """The section on memory while a long video is extracted."""
+    samples = said["samples"]
+    yield (
+        "## Memory over a long input\n\n"
+        "`python -m benchmarks.long_input --plot docs/performance-long-input.svg VIDEO`, "
+        f"{_when(said)}: the PETS clip in a loop, {samples[-1]['minutes']:.0f} minutes, {said['pictures']:,} pictures, "
+        f"{said['events']:,} events, from the video to stored segments.\n"
+    )
+    yield "![resident memory over the minutes of the input](performance-long-input.svg)\n"
+    yield "| process | largest in the first third | in the second | in the last | last of first | target |"
+    yield "|---|---:|---:|---:|---:|---|"
+    third = len(samples) // 3
+    for name, key in (("extractor, with the horizon", "extractor_mb"), ("decoding process", "decoder_mb")):
+        largest = [max(each[key] for each in samples[i * third : (i + 1) * third]) for i in range(3)]
+        shown = " | ".join(f"{each:.0f} MB" for each in largest)
+        ratio = largest[2] / largest[0]
+        target = _target({"ratio": ratio, **_wanted(1.1, at_least=False)})
+        yield f"| {name} | {shown} | {ratio:.2f} | {target} |"
     yield ""
 
 

@@ -32,6 +32,11 @@ class Address:
         parts = urlsplit(self.place)
         return f"{parts.scheme}://{_host(parts)}{parts.path}"
 
+    @property
+    def is_over_tls(self) -> bool:
+        """Whether the way there is encrypted."""
+        return self.place.partition("://")[0].lower() in ("rtsps", "https")
+
     def redacted(self, text: str) -> str:
         """The text without the login, wherever it stands in it."""
         if self.medium is Medium.CAMERA:

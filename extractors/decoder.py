@@ -27,36 +27,16 @@ from extractors import folder
 from extractors.clocks import Clock, MediaClock, WallClock
 from extractors.errors import VideoUnreadable
 from extractors.media import GapReason
+from extractors.opening import About, NoVideo, about, opened, read_picture, said
 from extractors.outlets import Newest, Outlet, Straight
 from extractors.pictures import Picture, Pictures
 from extractors.wire import Header, Kind, Medium, Request, Writable
-
-CONTAINERS = (
-    "asf,avi,av1,dv,flv,gif,h264,hevc,ivf,m4v,matroska,webm,mjpeg,mov,mp4,mpeg,mpegts,mpegvideo,mxf,nut,obu,"
-    "ogg,rm,vc1,yuv4mpegpipe"
-)
-"""Formats that are opened. Without a list FFmpeg takes any text file for a terminal recording, and
-plays lists that name other files and addresses."""
-
-LIVE = f"{CONTAINERS},mpjpeg,rtp,rtsp,sdp"
-"""Formats of live streams. Play lists are none of them: they name other addresses."""
-
-PROTOCOLS = {
-    "rtsp": "rtsp,rtp,tcp,udp",
-    "rtsps": "rtsps,rtsp,rtp,tcp,tls",
-    "http": "http,tcp",
-    "https": "https,tls,tcp",
-}
-"""Protocols that an address of each scheme may use; a redirection to any other is refused."""
 
 SHORTFALL_SHARE = 0.02
 """Missing frames up to this share of the container's count are a shortfall; more is a broken-off file."""
 
 PACKETS_CORRUPT_MAX = 1_000
 """Corrupt packets in a row after which the rest is given up."""
-
-ANALYSED_US = 1_000_000
-"""Most of a live stream that is read to learn what it is, µs."""
 
 SLOT_TOLERANCE_US = 1_000
 """A frame that comes so early belongs to the next slot of a given frame rate: times in files are rounded."""
@@ -88,13 +68,12 @@ def send(request: Request, out: Writable) -> None:
 
 def _send_stream(request: Request, outlet: Outlet) -> None:
     try:
-        container = _open(request)
-    except (av.error.FFmpegError, _NoVideo) as error:
-        outlet.json(Kind.REFUSED, error=_said(error))
+        container = opened(request)
+    except (av.error.FFmpegError, VideoUnreadable, NoVideo) as error:
+        outlet.json(Kind.REFUSED, error=said(error))
         return
     with container:
-        stream = container.streams.video[0]
-        sender = _Sender(outlet, request, _about(container), stream.frames or None)
+        sender = _Sender(outlet, request, about(container))
         own_zero_us = lambda: container.start_time_realtime  # noqa: E731
         clock = WallClock(own_zero_us, _now_us) if request.is_live else MediaClock(container)
         broken = None
@@ -114,34 +93,18 @@ def _send_folder(request: Request, outlet: Outlet) -> None:
         outlet.json(Kind.REFUSED, error=str(error))
         return
     first = folder.taken_at(paths[:1])
-    about = _About("pictures", request.fps, len(paths), creation_time=first[0].isoformat() if first else None)
-    sender = _Sender(outlet, request, about, len(paths))
+    taken = first[0].isoformat() if first else None
+    sender = _Sender(outlet, request, About("pictures", request.fps, len(paths), creation_time=taken))
     for path, time_us in zip(paths, times, strict=True):
         try:
-            sender.send(_read_picture(path, request), _Told(time_us))
-        except (av.error.FFmpegError, StopIteration) as error:
-            sender.corrupt(f"{path.name}: {_said(error) or 'no picture'}")
+            sender.send(read_picture(path, request), _Told(time_us))
+        except (av.error.FFmpegError, VideoUnreadable, StopIteration) as error:
+            sender.corrupt(f"{path.name}: {said(error) or 'no picture'}")
     sender.end(None)
-
-
-class _NoVideo(Exception):
-    """It opens, and holds no video stream."""
 
 
 class _BrokenOff(Exception):
     """A live stream ended with an error."""
-
-
-@dataclass(frozen=True, slots=True)
-class _About:
-    """What the source says of itself; the size where no frame tells it."""
-
-    codec: str
-    fps: float | None
-    frames_expected: int | None
-    duration_s: float | None = None
-    creation_time: str | None = None
-    size: tuple[int, int] = (0, 0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,10 +129,9 @@ class _Place:
 class _Sender:
     """Numbers frames, notes gaps, and sends both in order."""
 
-    def __init__(self, outlet: Outlet, request: Request, about: _About, frames_expected: int | None) -> None:
+    def __init__(self, outlet: Outlet, request: Request, about: About) -> None:
         self._outlet = outlet
         self._about = about
-        self._frames_expected = frames_expected
         self._pictures = Pictures(request.width_max, request.height_max)
         self._fps = None if request.medium is Medium.FOLDER else request.fps
         self._slot: int | None = None
@@ -260,64 +222,13 @@ class _Sender:
 
     def _note_missing(self) -> None:
         found = self._index + self._corrupt_in_all
-        missing = (self._frames_expected or found) - found
+        missing = (self._about.frames_expected or found) - found
         if self._index and missing > max(2, SHORTFALL_SHARE * self._index):
-            said = f"the file breaks off: {self._frames_expected} frames announced, {self._index} decoded"
-            self._gaps.append((GapReason.BROKEN_OFF, said))
+            told = f"the file breaks off: {self._about.frames_expected} frames announced, {self._index} decoded"
+            self._gaps.append((GapReason.BROKEN_OFF, told))
         elif self._index and missing > 0:
-            said = f"{self._frames_expected} frames announced, {self._index} decoded"
-            self._gaps.append((GapReason.SHORTFALL, said))
-
-
-def _open(request: Request) -> InputContainer:
-    place, form, options = _way(request)
-    container = av.open(
-        place,
-        format=form,
-        container_options=options,
-        stream_options=[],
-        options={},
-        metadata_errors="replace",
-    )
-    if not container.streams.video:
-        container.close()
-        raise _NoVideo("it holds no video stream")
-    context = container.streams.video[0].codec_context
-    context.thread_count = request.threads
-    context.options = {"max_pixels": str(request.pixels_max)}
-    return container
-
-
-def _way(request: Request) -> tuple[str, str | None, dict[str, str]]:
-    """What FFmpeg is told to open: the name, the format where it must be told, and options."""
-    if request.medium is Medium.FILE:
-        return f"file:{request.place}", None, {"protocol_whitelist": "file", "format_whitelist": CONTAINERS}
-    if request.medium is Medium.CAMERA:
-        return request.place, "v4l2", {"protocol_whitelist": "file"}
-    scheme = request.place.partition("://")[0].lower()
-    options = {
-        "protocol_whitelist": PROTOCOLS[scheme],
-        "format_whitelist": LIVE,
-        "analyzeduration": str(ANALYSED_US),
-        "fpsprobesize": "0",  # the rate is of no use here, and takes frames to learn
-    }
-    if scheme.startswith("rtsp"):
-        options["rtsp_transport"] = "tcp"  # what is lost on the way is sent again, and no firewall is in it
-    return request.place, None, options
-
-
-def _read_picture(path: Path, request: Request) -> av.VideoFrame:
-    """The file's picture.
-
-    Raises:
-        FFmpegError: It does not decode.
-        StopIteration: It holds none.
-    """
-    form = folder.ENDINGS[path.suffix.lower()]
-    options = {"protocol_whitelist": "file"}
-    with av.open(f"file:{path}", format=form, container_options=options) as file:
-        file.streams.video[0].codec_context.options = {"max_pixels": str(request.pixels_max)}
-        return next(frame for frame in file.decode(video=0) if not frame.is_corrupt)
+            told = f"{self._about.frames_expected} frames announced, {self._index} decoded"
+            self._gaps.append((GapReason.SHORTFALL, told))
 
 
 def _decoded(container: InputContainer, sender: _Sender, *, is_live: bool) -> Iterator[av.VideoFrame]:
@@ -328,7 +239,7 @@ def _decoded(container: InputContainer, sender: _Sender, *, is_live: bool) -> It
         except av.error.EOFError:
             return
         except av.error.FFmpegError as error:
-            if not sender.corrupt(_said(error)):
+            if not sender.corrupt(said(error)):
                 return
             continue
         for frame in frames:
@@ -347,32 +258,13 @@ def _packets(container: InputContainer, sender: _Sender, *, is_live: bool) -> It
             return
         except av.error.FFmpegError as error:
             if is_live:
-                raise _BrokenOff(_said(error)) from error
-            if not sender.corrupt(_said(error)):
+                raise _BrokenOff(said(error)) from error
+            if not sender.corrupt(said(error)):
                 return
 
 
 def _times(size: tuple[int, int]) -> str:
     return f"{size[0]}x{size[1]}"
-
-
-def _said(error: Exception) -> str:
-    return (isinstance(error, av.error.FFmpegError) and error.strerror) or str(error)
-
-
-def _about(container: InputContainer) -> _About:
-    stream = container.streams.video[0]
-    context = stream.codec_context
-    rate = stream.average_rate or stream.guessed_rate
-    duration_us = container.duration
-    return _About(
-        codec=context.name,
-        fps=float(rate) if rate else None,
-        frames_expected=stream.frames or None,
-        duration_s=duration_us / 1e6 if duration_us and duration_us > 0 else None,
-        creation_time=container.metadata.get("creation_time") or stream.metadata.get("creation_time"),
-        size=(context.width, context.height),
-    )
 
 
 def _now_us() -> int:

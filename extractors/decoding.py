@@ -117,8 +117,10 @@ class Decoding:
             if "Next: " in said:
                 raise VideoUnreadable(said)
             kind = "live stream" if self._request.is_live else "video"
+            ca_file = self._request.ca_file
+            vouched = f"; does {ca_file} hold its certificate, and the certificate its name?" if ca_file else ""
             raise VideoUnreadable(
-                f"{self._name}: not a {kind} that can be opened ({said}); {_WANTED[self._request.medium]}"
+                f"{self._name}: not a {kind} that can be opened ({said}); {_WANTED[self._request.medium]}{vouched}"
             )
         return content
 
@@ -196,9 +198,10 @@ class Decoding:
 
     def _died(self, how: str) -> DecoderDied:
         said = self._redact(_last_line(self._complaints))
+        next_step = "look at it in a player" if self._request.is_live else "re-encode the video with a tool you trust"
         return DecoderDied(
             f"{self._name}: the decoder {how}{f' ({said})' if said else ''} after {self._last_frame()}; "
-            "all frames before that were given. Next: re-encode the video with a tool you trust"
+            f"all frames before that were given. Next: {next_step}"
         )
 
     def _last_frame(self) -> str:

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
+from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
@@ -53,12 +54,14 @@ class Live:
         limits: LiveLimits | None = None,
         shape: Shape | None = None,
         *,
+        ca_file: Path | None = None,
         is_stopped: Callable[[], bool] = lambda: False,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
         self._address = address
         self._limits = limits or LiveLimits()
         self._shape = shape or Shape()
+        self._ca_file = ca_file
         self._is_stopped = is_stopped
         self._sleep = sleep
         self._decoding: Decoding | None = None
@@ -168,6 +171,7 @@ class Live:
             height_max=shape.height_max,
             fps=shape.fps,
             queue_frames=limits.queue_frames,
+            ca_file=str(self._ca_file) if self._ca_file and self._address.is_over_tls else None,
         )
         decoding = Decoding(
             request,

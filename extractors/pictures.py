@@ -22,6 +22,7 @@ from av.video.reformatter import VideoReformatter
 
 from extractors.media import Image
 
+_TURNS = {1: "90° counterclockwise", 2: "180°", 3: "90° clockwise"}
 LEVELS = 65536
 """Levels of a grey value of 16 bits."""
 WINDOW_QUANTILES = (0.001, 0.999)
@@ -50,7 +51,7 @@ class Pictures:
         self._deinterlacer: _Deinterlacer | None = None
         self._window: tuple[float, float] | None = None
         self._told: list[str] = []
-        self._once: set[str] = set()
+        self._quarters = 0
 
     def push(self, frame: av.VideoFrame, along: Any) -> Iterator[tuple[Picture, Any]]:
         """The pictures that are ready now, each with what came along with its frame."""
@@ -89,8 +90,10 @@ class Pictures:
         size = (max(1, round(width / scale)), max(1, round(height / scale)))
         image = self._grey(frame, size) if is_deep_grey(frame) else self._colour(frame, size)
         if quarters:
-            self._tell_once("turned", f"the pictures are turned upright, by {90 * quarters}° counterclockwise")
+            if quarters != self._quarters:
+                self._tell(f"the pictures are turned upright, by {_TURNS[quarters]}")
             image = np.rot90(image, quarters)
+        self._quarters = quarters
         return Picture(np.ascontiguousarray(image), scale, upright)
 
     def _colour(self, frame: av.VideoFrame, size: tuple[int, int]) -> Image:
@@ -115,11 +118,6 @@ class Pictures:
         low, high = self._window
         bright = np.clip((grey.astype(np.float32) - low) * (255 / (high - low)), 0, 255)
         return np.repeat(bright.astype(np.uint8)[:, :, None], 3, axis=2)
-
-    def _tell_once(self, word: str, text: str) -> None:
-        if word not in self._once:
-            self._once.add(word)
-            self._tell(text)
 
 
 class _Deinterlacer:

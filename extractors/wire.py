@@ -46,6 +46,8 @@ class Request:
     fps: float | None = None
     queue_frames: int = 1
     """pictures of a live stream that wait for the parent at most"""
+    ca_file: str | None = None
+    """PEM file of the certificates that who answers over TLS must have, or have been given by; None: any will do"""
 
     @property
     def is_live(self) -> bool:

@@ -82,20 +82,16 @@ class Appender:
             if len(fresh):
                 drafts.append(encode(stream, fresh, self._producer))
                 expected.append(heads[stream] - len(fresh))
-        appended = self._persistently(lambda: self._log.append(drafts, expected)) if drafts else []
+        appended = self.persistently(lambda: self._log.append(drafts, expected)) if drafts else []
         self._heads |= heads
         return appended
 
-    def _unstored(self, stream: StreamName, head: int, batch: EventBatch) -> EventBatch:
-        """The part of the batch that lies behind what the stream held when this appender began."""
-        return batch.slice(min(len(batch), max(0, self._stored[stream] - head)))
+    def persistently(self, action: Callable[[], list[T]]) -> list[T]:
+        """The action's result; a database that is away is waited for, and the action done again.
 
-    def _head(self, stream: StreamName) -> int:
-        if stream not in self._stored:
-            self._stored[stream] = self._persistently(lambda: [self._log.stream_head(stream).sequence])[0]
-        return self._heads.setdefault(stream, self._stored[stream])
-
-    def _persistently(self, action: Callable[[], list[T]]) -> list[T]:
+        Raises:
+            LogUnavailable: The database stayed away for `wait_s`.
+        """
         deadline = time.monotonic() + self._wait_s
         pause = _RETRY_SECONDS_MIN
         try:
@@ -116,3 +112,12 @@ class Appender:
             f"{reason}; waited {self._wait_s:g} s for it. Nothing acknowledged is lost. "
             "Next: vian doctor, then run the same command again: it goes on where the log stands"
         ) from reason
+
+    def _unstored(self, stream: StreamName, head: int, batch: EventBatch) -> EventBatch:
+        """The part of the batch that lies behind what the stream held when this appender began."""
+        return batch.slice(min(len(batch), max(0, self._stored[stream] - head)))
+
+    def _head(self, stream: StreamName) -> int:
+        if stream not in self._stored:
+            self._stored[stream] = self.persistently(lambda: [self._log.stream_head(stream).sequence])[0]
+        return self._heads.setdefault(stream, self._stored[stream])

@@ -188,7 +188,7 @@ def field_tables(log: Log) -> dict[str, tuple[str, ...]]:
     with log.connection() as connection:
         rows = connection.execute(
             "select n.name, array_agg(cast(a.attname as text) order by a.attnum) "
-            "from (select name from projections union all values ('events'), ('streams')) as n "
+            "from (select name from projections union all values ('events'), ('streams'), ('track_ground')) as n "
             "join pg_attribute a on a.attrelid = to_regclass(quote_ident(%s || n.name)) "
             "where a.attnum > 0 and not a.attisdropped group by n.name order by n.name",
             (VIEW_PREFIX,),

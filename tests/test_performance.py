@@ -2,7 +2,17 @@
 
 from benchmarks import accuracy
 from benchmarks.measuring import Figure, Row
-from benchmarks.report import PAGE, RESULTS, beside_flink, of_accuracy, of_rules, of_sync, over_the_log, page
+from benchmarks.report import (
+    PAGE,
+    RESULTS,
+    beside_flink,
+    of_accuracy,
+    of_long_input,
+    of_rules,
+    of_sync,
+    over_the_log,
+    page,
+)
 
 
 def test_the_page_is_written_from_the_results() -> None:
@@ -95,4 +105,17 @@ def test_accuracy_stands_beside_its_references_and_what_was_wanted() -> None:
         "| horizon | coverage | 1.000 |  | 0.9 to 0.99: missed |",
         "| horizon | error |  | A 0.100 | at most 0.03: missed |",
         "| tracker | MOTA | 0.500 | SORT 0.400, ByteTrack 0.450 |  |",
+    ]
+
+
+def test_memory_over_a_long_input_stands_by_thirds() -> None:
+    samples = [
+        {"minutes": float(minute + 1), "extractor_mb": 360.0 + 10 * (minute % 3), "decoder_mb": 70.0 + 5 * minute}
+        for minute in range(6)
+    ]
+    said = {"measured_at": "2026-01-01T10:00:00+00:00", "is_quick": False, "pictures": 3600, "events": 900}
+    section = list(of_long_input(said | {"samples": samples}))
+    assert section[-3:-1] == [
+        "| extractor, with the horizon | 370 MB | 380 MB | 380 MB | 1.03 | at most 1.1: reached |",
+        "| decoding process | 75 MB | 85 MB | 95 MB | 1.27 | at most 1.1: missed |",
     ]

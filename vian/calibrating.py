@@ -1,16 +1,25 @@
-"""Calibrate a camera from the track points that its log holds.
+"""Calibrations that follow from a source's tracks, on their way into the log.
 
-Contract: each event that is found is appended once; run again over the same points and with the same scale, nothing is
-appended. Track points are never touched: what they mean on the ground is a query (`track_ground`).
+Contract: each calibration that a running extraction finds is appended once, also when it goes on after a kill. Of the
+points that a log holds already each view has one, from the view's beginning; what was said last is not said again.
+Track points are never touched: what they mean on the ground is a query (`track_ground`). The stream has several
+writers: people calibrate a camera while its extraction runs.
 """
 
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from datetime import datetime
+from typing import TypeVar
 
 from events import (
     CameraCalibrated,
+    EventBatch,
+    EventType,
     Producer,
+    SceneChanged,
     StreamName,
     TrackPoint,
+    VideoAdded,
     batch_of,
     decode,
     encode,
@@ -18,11 +27,18 @@ from events import (
     source_name,
     station_name,
 )
-from extractors.calibration import NAME, VERSION, CalibrationConfig, CalibrationFold, KnownLength, Scale
+from extractors.calibration import NAME, VERSION, CalibrationConfig, KnownLength, Scale
+from extractors.horizon import FrameSize
 from store import Log
+from vian.camera_folds import OTHER_VIEWS, CameraConfig, CameraFolds
 from vian.errors import WorldFailed, WrongUsage
 from vian.exclusive import exclusively
 from vian.zoning import frame_size_of
+
+E = TypeVar("E", bound=EventType)
+
+_READ = tuple(each.type_name for each in (VideoAdded, TrackPoint, SceneChanged))
+"""Event types that a calibration is found from; a video says the frame's size."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,48 +74,122 @@ def calibrate_from_tracks(
             f"the log has no video of source {source} of station {station}, and so no size of its frames. "
             f"Next: vian extract motion VIDEO --source {source}"
         )
-    if isinstance(scale, KnownLength):
-        _check_inside(scale, size)
+    check_inside(scale, FrameSize(*size))
     with exclusively(log, f"calibration of source {source} of station {station}"):
-        fold = CalibrationFold(config, size, scale)
-        points, found = 0, list[CameraCalibrated]()
-        for segment in log.read_lives(StreamName.of(station, source, TrackPoint.type_name)):
-            batch = decode(segment, log.catalogue)
-            points += len(batch)
-            fold.add(batch)
-        for batch in fold.finish():
-            found += [event for event in events_of(batch) if isinstance(event, CameraCalibrated)]
+        folds = CameraFolds(FrameSize(*size), CameraConfig(horizon=None, calibration=config, scale=scale))
+        found = list(_of_views(folds, _batches(log, station, source)))
+        points = sum(life.sequence for life in log.lives(StreamName.of(station, source, TrackPoint.type_name)))
         if not points:
             raise WorldFailed(
                 f"the log has no track points of source {source} of station {station}. "
                 f"Next: vian extract motion VIDEO --source {source}"
             )
-        return Calibrating(
-            points, found[-1] if found else None, _append(log, station, source, config, found), fold.reason
-        )
+        stream = StreamName.of(station, source, CameraCalibrated.type_name)
+        said = [event for event, _ in _said(log, stream, CameraCalibrated)]
+        new = found if said[len(said) - len(found) :] != found else []
+        if new:
+            producer = Producer(NAME, VERSION, config.config_hash)
+            log.append([encode(stream, batch_of(new), producer)], [log.stream_head(stream).sequence])
+        return Calibrating(points, found[-1] if found else None, len(new), folds.reason)
 
 
-def _append(log: Log, station: str, source: str, config: CalibrationConfig, found: list[CameraCalibrated]) -> int:
-    """Append what the stream does not hold yet; how many these are."""
-    stream = StreamName.of(station, source, CameraCalibrated.type_name)
-    known = {
-        event.model_dump_json()
-        for segment in log.read_lives(stream)
-        for event in events_of(decode(segment, log.catalogue))
-    }
-    new = [event for event in found if event.model_dump_json() not in known]
-    if new:
-        producer = Producer(NAME, VERSION, config.config_hash)
-        log.append([encode(stream, batch_of(new), producer)], [log.stream_head(stream).sequence])
-    return len(new)
+def unsaid(log: Log, stream: StreamName, found: Sequence[CameraCalibrated]) -> list[CameraCalibrated]:
+    """Those of the calibrations that the stream does not hold yet."""
+    known = {event.model_dump_json() for event, _ in _said(log, stream, CameraCalibrated)}
+    return [event for event in found if event.model_dump_json() not in known]
 
 
-def _check_inside(length: KnownLength, size: tuple[int, int]) -> None:
-    """Refuse points outside the picture: they are of another frame size.
+def standing_calibration(
+    log: Log, station: str, source: str, to_position: int | None = None
+) -> CameraCalibrated | None:
+    """The source's newest calibration up to a position (None: of all), unless its camera was moved since then."""
+    newest, at = None, 0
+    for event, position in _said(log, StreamName.of(station, source, CameraCalibrated.type_name), CameraCalibrated):
+        if to_position is None or position <= to_position:
+            newest, at = event, position
+    for change, position in _said(log, StreamName.of(station, source, SceneChanged.type_name), SceneChanged):
+        if change.cause == "moved" and at < position and (to_position is None or position <= to_position):
+            return None
+    return newest
+
+
+def check_inside(scale: Scale | None, size: FrameSize) -> None:
+    """Refuse a known length with points outside the picture: they are of another frame size.
 
     Raises:
         WrongUsage: One lies outside.
     """
-    for x, y in (length.xy, length.other_xy):
-        if not (0 <= x <= size[0] and 0 <= y <= size[1]):
-            raise WrongUsage(f"--length: the point {x:g},{y:g} lies outside the frame of {size[0]} x {size[1]} px")
+    if not isinstance(scale, KnownLength):
+        return
+    for x, y in (scale.xy, scale.other_xy):
+        if not (0 <= x <= size.width and 0 <= y <= size.height):
+            raise WrongUsage(
+                f"--length: the point {x:g},{y:g} lies outside the frame of {size.width} x {size.height} px"
+            )
+
+
+def _of_views(folds: CameraFolds, batches: Iterable[EventBatch]) -> Iterator[CameraCalibrated]:
+    """Of each view the last calibration, which is the surest; it holds from the view's beginning."""
+    began: datetime | None = None
+    newest: CameraCalibrated | None = None
+    for batch in batches:
+        is_end = _is_end_of_view(batch, folds.size)
+        newest = next(reversed(calibrations_in(_folded(folds, batch))), newest)
+        if is_end:
+            yield from _dated(newest, began)
+            began = newest = None
+        elif began is None:
+            began = _beginning(batch)
+    yield from _dated(next(reversed(calibrations_in(folds.finish())), newest), began)
+
+
+def _dated(newest: CameraCalibrated | None, began: datetime | None) -> list[CameraCalibrated]:
+    return [newest.model_copy(update={"time": began})] if newest is not None else []
+
+
+def _is_end_of_view(batch: EventBatch, size: FrameSize) -> bool:
+    """Whether the batch says that the view or the frames' size changed."""
+    if batch.type is TrackPoint:
+        return False
+    return any(
+        FrameSize(event.width, event.height) != size if isinstance(event, VideoAdded) else _is_other_view(event)
+        for event in events_of(batch)
+    )
+
+
+def _is_other_view(event: EventType) -> bool:
+    return isinstance(event, SceneChanged) and event.cause in OTHER_VIEWS
+
+
+def _beginning(batch: EventBatch) -> datetime | None:
+    """When what the batch speaks of begins; None if it speaks of no footage."""
+    first = next(iter(events_of(batch.slice(0, 1))), None)
+    if isinstance(first, VideoAdded):
+        return first.started_at
+    return first.time if isinstance(first, TrackPoint) else None
+
+
+def _folded(folds: CameraFolds, batch: EventBatch) -> tuple[EventBatch, ...]:
+    if batch.type is not VideoAdded:
+        return folds.add([batch])
+    width, height = (int(batch.data.column(name)[-1].as_py()) for name in ("width", "height"))
+    return () if folds.size == FrameSize(width, height) else folds.resize(FrameSize(width, height))
+
+
+def _batches(log: Log, station: str, source: str) -> Iterator[EventBatch]:
+    for segment in log.read_all(types=_READ, sources=[source], stations=[station]):
+        yield decode(segment, log.catalogue)
+
+
+def calibrations_in(batches: Sequence[EventBatch]) -> list[CameraCalibrated]:
+    """The calibrations among the events."""
+    said = [batch for batch in batches if batch.type is CameraCalibrated]
+    return [event for batch in said for event in events_of(batch) if isinstance(event, CameraCalibrated)]
+
+
+def _said(log: Log, stream: StreamName, event_type: type[E]) -> Iterator[tuple[E, int]]:
+    """The stream's events, with their positions."""
+    for segment in log.read_lives(stream):
+        for event in events_of(decode(segment, log.catalogue)):
+            assert isinstance(event, event_type), "a stream holds one type"
+            yield event, segment.position

@@ -12,7 +12,8 @@ on behind the last stored sequence, and says what lies between as an interruptio
 import hashlib
 import json
 import os
-from collections.abc import Callable, Iterable, Iterator
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime, timedelta
@@ -22,6 +23,7 @@ from typing import Any, TypeVar
 from events import (
     ActivityInterval,
     Appearance,
+    CameraCalibrated,
     EventBatch,
     EventType,
     HorizonEstimate,
@@ -48,12 +50,15 @@ from events import (
 from extractors import motion, video
 from extractors.addresses import Address
 from extractors.errors import ExtractorError
-from extractors.horizon import FrameSize, Horizon, HorizonConfig
+from extractors.horizon import FrameSize
 from extractors.live import Live, LiveLimits
 from extractors.media import Frame, Gap, GapReason, Shape, VideoInfo
 from store import Appender, Log, SequenceConflict
+from vian.calibrating import calibrations_in, check_inside, standing_calibration, unsaid
+from vian.camera_folds import CameraConfig, CameraFolds, Resized
 from vian.errors import WorldFailed, WrongUsage
 from vian.exclusive import exclusively
+from vian.resuming import resume
 
 E = TypeVar("E", bound=EventType)
 
@@ -65,14 +70,23 @@ _SAID_BY_A_PROCESS = (
     HorizonVote,
     HorizonEstimate,
     SceneChanged,
+    VideoAdded,
     ProcessProgressed,
     ProcessFinished,
     ProcessFailed,
 )
-"""Event types of the streams that a process appends to while it runs."""
+"""Event types of the streams that a process alone appends to while it runs."""
+
+_TRIES = 5
+"""So often an append is tried with calibrations in it: people may calibrate the same camera at that moment."""
 
 PROGRESS_EVERY_S = 10.0
 """Media time between two `process_progressed`, in seconds."""
+
+NOTES_OF_A_KIND_MAX = 5
+"""So many gaps of one kind are told while the work goes on; all of them are in the log."""
+
+_ALL_NOTES = 'vian query "select source, time, note from process_progressed"'
 
 _YEARS = range(1970, 2200)
 """Years in which a video can have been recorded: clocks that were never set say 1904, or 9999."""
@@ -120,11 +134,13 @@ class Job:
     config: motion.MotionConfig = field(default_factory=motion.MotionConfig)
     detector: motion.Detector | None = None
     """finds the objects, where `config.detector` is a model's hash"""
-    horizon: HorizonConfig | None = field(default_factory=HorizonConfig.of_blobs)
-    """how the horizon is found meanwhile; None: it is not. Tracks are the same either way: it names no process"""
+    camera: CameraConfig = field(default_factory=CameraConfig)
+    """how horizon and calibration are found meanwhile"""
     shape: Shape = field(default_factory=Shape)
     ignored: motion.IgnoredArea | None = None
     live: LiveLimits = field(default_factory=LiveLimits)
+    ca_file: Path | None = None
+    """certificates that a live stream over TLS must have one of, or of those whom they vouch for; None: any will do"""
     stamp: Stamp = wall_clock
     run: int = 1
     """1 for the first time, more for a repetition of the same extraction as a new process"""
@@ -165,7 +181,13 @@ def extract_motion(job: Job) -> Extraction:
     """
     station_name(job.station), source_name(job.source)
     if isinstance(job.path, Address):
-        with Live(job.path, job.live, job.shape, is_stopped=job.is_stopped) as live, _alone(job):
+        if job.path.is_over_tls and job.ca_file is None:
+            job.note(
+                f"{job.path.shown}: nobody checks the camera's certificate, so whoever answers gets the login. "
+                "Next: VIAN_LIVE_CA_FILE=FILE with its certificate"
+            )
+        live = Live(job.path, job.live, job.shape, ca_file=job.ca_file, is_stopped=job.is_stopped)
+        with live, _alone(job):
             return _extract_live(job, live)
     info = video.probe(job.path, shape=job.shape)
     with _alone(job):
@@ -193,6 +215,9 @@ def _extract(job: Job, path: Path, info: VideoInfo) -> Extraction:
     process = process_name(job, added.video)
     begun = _find(job, ProcessStarted, process)
     if begun is None:
+        newest = _find(job, VideoAdded, added.video)
+        if newest is not None and (newest[0].width, newest[0].height) != (added.width, added.height):
+            _append_first(job, added)  # an earlier process met another size within the video
         _give_up_unfinished(job, added, process)
         begun = _start(job, added, process)
     elif finished := _find(job, ProcessFinished, process):
@@ -241,14 +266,17 @@ class _Run:
         self._time_us = 0
         self._events = 0
         self._gaps = 0
+        self._told: Counter[GapReason] = Counter()
         self._progress_due_s = PROGRESS_EVERY_S
-        self._horizon = Horizon(FrameSize(info.width, info.height), job.horizon) if job.horizon else None
+        standing = standing_calibration(job.log, job.station, job.source, to_position=started_position)
+        self._folds = CameraFolds(FrameSize(info.width, info.height), job.camera, standing)
+        self._resized: list[Resized] = []
 
     def whole(self, frames: Iterable[Frame | Gap]) -> Extraction:
         """Extract to the end of the frames."""
         first_track_id = 1 + self._resume_all()
         steps = motion.extract(
-            frames,
+            self._watched(frames),
             self._job.config,
             start_time=self._added.started_at,
             first_track_id=first_track_id,
@@ -258,6 +286,7 @@ class _Run:
         try:
             for step in steps:
                 self._store(step)
+            self._take_in(self._folds.finish())
         except ExtractorError as error:
             self._say(ProcessFailed(**self._state(), error=str(error)))
             raise
@@ -266,7 +295,6 @@ class _Run:
                 f"somebody else appends to source {self._job.source}: {error}. What this process stored stays. "
                 "Next: give each extraction a source of its own, then run this again"
             ) from error
-        self._end_horizon()
         self._say(ProcessFinished(**self._state(), gaps=self._gaps))
         return Extraction(
             self._process, self._job.source, self._added, self._frames, self._events, self._gaps, was_done=False
@@ -275,16 +303,54 @@ class _Run:
     def _store(self, step: motion.Extraction) -> None:
         """Append what one interval of the media brought, in one transaction."""
         self._frames, self._time_us = step.frames, step.time_us
-        found = [*step.batches, *self._of_horizon(step)]
-        self._events += sum(len(batch) for batch in found)
+        of_the_camera = self._folds.add(step.batches, self._resized)
         self._gaps += len(step.gaps)
-        batches = [*found, *self._remarks(step), *self._of_the_stream(step.gaps)]
-        self._append(batches)
+        self._take_in((*step.batches, *of_the_camera), step)
+        self._resized = []
+        self._tell(step.gaps)
         if self._job.on_progress is not None:
             self._job.on_progress(self._frames, None if self._job.shape.fps else self._info.frames_expected)
 
+    def _tell(self, gaps: Iterable[Gap]) -> None:
+        """Tell people of the gaps, but not of each where there are very many of a kind."""
+        for gap in gaps:
+            self._told[gap.reason] += 1
+            if self._told[gap.reason] <= NOTES_OF_A_KIND_MAX:
+                self._job.note(str(gap))
+            elif self._told[gap.reason] == NOTES_OF_A_KIND_MAX + 1:
+                self._job.note(f"{gap.reason}: more of the kind are not told here, but recorded. Next: {_ALL_NOTES}")
+
+    def _watched(self, frames: Iterable[Frame | Gap]) -> Iterator[Frame | Gap]:
+        """The frames as they come; where their size changes, to what."""
+        is_resized = False
+        for item in frames:
+            if isinstance(item, Gap):
+                is_resized |= item.reason is GapReason.SIZE_CHANGED
+            elif is_resized:
+                height, width = (round(pixels * item.scale) for pixels in item.image.shape[:2])
+                self._resized.append(Resized(item.index, item.time_us, FrameSize(width, height)))
+                is_resized = False
+            yield item
+
+    def _take_in(self, found: Sequence[EventBatch], step: motion.Extraction | None = None) -> None:
+        """Append what was found, with what is to be said of the step, in one transaction."""
+        self._events += sum(len(batch) for batch in found)
+        of_the_step = [*self._remarks(step), *self._of_the_stream(step.gaps)] if step is not None else []
+        self._append([*found, *of_the_step, *self._of_the_footage()])
+
+    def _of_the_footage(self) -> Iterator[EventBatch]:
+        """That the frames have come to another size, which zones and calibrations are laid by."""
+        for change in self._resized:
+            time = self._added.started_at + timedelta(microseconds=change.time_us)
+            if self._live is not None:
+                self._footage = _live_added(self._job, self._live.info, time)
+            else:
+                sizes = {"width": change.size.width, "height": change.size.height}
+                self._footage = self._added.model_copy(update=sizes | {"time": self._job.stamp(time)})
+            yield batch_of([self._footage])
+
     def _of_the_stream(self, gaps: Iterable[Gap]) -> Iterator[EventBatch]:
-        """What is to be said of the live stream itself: that it was interrupted, came back, or has another size."""
+        """What is to be said of the live stream itself: that it was interrupted, or came back."""
         for gap in gaps:
             if self._live is None or gap.time_us is None:
                 continue
@@ -294,28 +360,6 @@ class _Run:
                 yield batch_of([StreamInterrupted(time=time, video=name, why=gap.detail)])
             elif gap.reason is GapReason.RESUMED and self._interrupted_at is not None:
                 yield batch_of([StreamResumed(time=time, video=name, interrupted_at=self._interrupted_at)])
-            elif gap.reason is GapReason.SIZE_CHANGED:
-                self._footage = _live_added(self._job, self._live.info, time)
-                yield batch_of([self._footage])
-
-    def _of_horizon(self, step: motion.Extraction) -> tuple[EventBatch, ...]:
-        """What the tracks say of the horizon; from a change of the frame's size on, nothing."""
-        if any(gap.reason is GapReason.SIZE_CHANGED for gap in step.gaps):
-            self._horizon = None
-        if self._horizon is None:
-            return ()
-        for batch in step.batches:
-            self._horizon.take_in(batch)
-        return self._horizon.take()
-
-    def _end_horizon(self) -> None:
-        """Let the tracks that are left say where the horizon is."""
-        if self._horizon is None:
-            return
-        self._horizon.finish()
-        batches = list(self._horizon.take())
-        self._events += sum(len(batch) for batch in batches)
-        self._append(batches)
 
     def _remarks(self, step: motion.Extraction) -> list[EventBatch]:
         """What is to be said of the work itself: gaps, and progress now and then."""
@@ -330,8 +374,27 @@ class _Run:
         ]
         return [batch_of(said)] if said else []
 
-    def _append(self, batches: list[EventBatch]) -> None:
-        self._appender.append([(self._job.stream(batch.type), batch) for batch in batches if len(batch)])
+    def _append(self, batches: Sequence[EventBatch]) -> None:
+        found = calibrations_in(batches)
+        others = [(self._job.stream(batch.type), batch) for batch in batches if batch.type is not CameraCalibrated]
+        for tries_left in reversed(range(_TRIES)):
+            said = self._appender.persistently(lambda: self._unsaid(found)) if found else []
+            try:
+                self._appender.append([each for each in (*others, *said) if len(each[1])])
+                return
+            except SequenceConflict:
+                if not (said and tries_left):
+                    raise
+
+    def _unsaid(self, found: Sequence[CameraCalibrated]) -> list[tuple[StreamName, EventBatch]]:
+        """The calibrations that are still to be said; none where people have calibrated the camera meanwhile."""
+        job, stream = self._job, self._job.stream(CameraCalibrated)
+        standing = standing_calibration(job.log, job.station, job.source)
+        if standing is not None and standing.covariance is None:
+            return []
+        new = unsaid(job.log, stream, found)
+        self._appender.resume_at(stream, job.log.stream_head(stream).sequence)
+        return [(stream, batch_of(new))] if new else []
 
     def _say(self, event: EventType) -> None:
         self._append([batch_of([event])])
@@ -339,20 +402,9 @@ class _Run:
     def _resume_all(self) -> int:
         """Let each stream go on from where it stood when the process started; how many track points there were."""
         # All at once, before the first frame: later the database may be away, and only appends wait for it.
-        return {event_type: self._resume(event_type) for event_type in _SAID_BY_A_PROCESS}[TrackPoint]
-
-    def _resume(self, event_type: type[EventType]) -> int:
-        """Let a stream go on from where it stood when the process started; how many events all its lives had."""
-        log, stream = self._job.log, self._job.stream(event_type)
-        here = log.stream_head(stream, at_position=self._at_start).sequence
-        at_start, said = here, 0
-        for life in log.lives(stream):
-            if life.epoch < log.epoch:
-                # What was said before the log was restored stays: the process goes on behind it.
-                then = log.stream_head(stream, epoch=life.epoch, at_position=self._at_start).sequence
-                at_start, said = at_start + then, said + life.sequence - then
-        self._appender.resume_at(stream, here - said)
-        return at_start
+        log, appender, at_start = self._job.log, self._appender, self._at_start
+        streams = {event_type: self._job.stream(event_type) for event_type in _SAID_BY_A_PROCESS}
+        return {each: resume(log, appender, stream, at_start) for each, stream in streams.items()}[TrackPoint]
 
     def _state(self) -> dict[str, Any]:
         return {
@@ -371,7 +423,7 @@ def _added(job: Job, path: Path, info: VideoInfo) -> VideoAdded:
     known = _find(job, VideoAdded, info.sha256)
     if known is not None:
         _check_start(job, known[0])
-        return known[0]
+        return known[0].model_copy(update={"width": info.width, "height": info.height})
     place = os.fsencode(path).decode(errors="replace")  # a name need not be UTF-8; it is for people
     event = _footage(job, info, info.sha256, place, _started_at(job, path, info))
     _append_first(job, event)
@@ -401,6 +453,7 @@ def _footage(job: Job, info: VideoInfo, name: str, place: str, started_at: datet
 
 
 def _check_fits(job: Job, info: VideoInfo) -> None:
+    check_inside(job.camera.scale, FrameSize(info.width, info.height))
     if job.ignored is not None:
         job.ignored.check_fits(info.width, info.height)
 
@@ -470,12 +523,13 @@ def _say_interrupted(job: Job, added: VideoAdded, killed: ProcessStarted, progre
 
 
 def _start(job: Job, added: VideoAdded, process: str) -> tuple[ProcessStarted, int]:
+    configuration = job.config.model_dump(mode="json") | job.options | job.camera.description
     event = ProcessStarted(
         time=job.stamp(added.started_at),
         process=process,
         extractor=motion.NAME,
         extractor_version=motion.VERSION,
-        configuration=json.dumps(job.config.model_dump(mode="json") | job.options, sort_keys=True),
+        configuration=json.dumps(configuration, sort_keys=True),
         video=added.video,
     )
     return event, _append_first(job, event)

@@ -1,8 +1,9 @@
 """Track points on the ground: position, speed and how well both are known, as a table that queries may name.
 
-Contract: nothing is stored. Each point is read through the newest calibration of its own source and station that was
-valid at its time, or through one that the query names by its position in the log; so a later, better calibration
-changes no event, and the same points can be read through both. Where there is no calibration, metres are null; where a
+Contract: nothing is stored. Each point is read through the calibration of its own source and station that was valid at
+its time, or through one that the query names by its position in the log; so a later, better calibration changes no
+event, and the same points can be read through both. A calibration is valid from its own time until the camera is
+moved; of several that are valid the one that was said last counts. Where there is none, metres are null; where a
 calibration says no uncertainty, the deviations are.
 """
 
@@ -23,6 +24,7 @@ _METRES = ("ground_x", "ground_y", "ground_speed", "ground_x_deviation", "ground
 """m east, m north, m/s, and their standard deviations."""
 
 Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
 Key = tuple[str, str]
 """Station and source."""
 
@@ -39,49 +41,71 @@ class Calibrated:
     frame_size: tuple[int, int]
 
 
-def track_ground(points: pa.Table, calibrations: pa.Table, videos: pa.Table, position: int | None) -> pa.Table:
+@dataclass(frozen=True, slots=True, eq=False)
+class Known:
+    """What the log says of a source's camera, each in the order in which it was said."""
+
+    calibrations: list[Calibrated]
+    moves_us: list[int]
+    """when it was moved, ascending"""
+    sizes: list[tuple[int, tuple[int, int]]]
+    """width and height of its frames, each from a position of the log on"""
+
+
+def track_ground(
+    points: pa.Table, calibrations: pa.Table, videos: pa.Table, changes: pa.Table, position: int | None
+) -> pa.Table:
     """The points with their place on the ground.
 
     Args:
         points: Rows of `track_point`.
         calibrations: Rows of `camera_calibrated`, of all times.
-        videos: Rows of `video_added`, of all times: which frame size the points of a source are of.
+        videos: Rows of `video_added`, of all times: which frame sizes a source's points are of.
+        changes: Rows of `scene_changed`, of all times: when cameras were moved.
         position: Of the calibration to use throughout; None: for each point the one that was valid at its time.
     """
-    known = _by_source(calibrations, position)
-    sizes = {(row["station"], row["source"]): (row["width"], row["height"]) for row in _in_time(videos)}
-    keys = list(zip(points.column("station").to_pylist(), points.column("source").to_pylist(), strict=True))
-    time_us = points.column("time").cast(pa.int64()).to_numpy()
     metres = np.full((len(_METRES), len(points)), np.nan)
     used = np.zeros(len(points), np.int64)
-    for rows, calibration, key in _uses(keys, time_us, known, position is not None):
-        metres[:, rows] = _mapped(points.take(pa.array(rows)), calibration, sizes.get(key))
-        used[rows] = calibration.position
+    known = _by_source(calibrations, videos, changes, position)
+    for each, rows in _of_sources(points, known):
+        own = points.take(pa.array(rows))
+        through = _valid(each, _microseconds(own), is_named=position is not None)
+        for number in np.unique(through[through >= 0]):
+            at = np.flatnonzero(through == number)
+            calibration = each.calibrations[number]
+            metres[:, rows[at]] = _mapped(own.take(pa.array(at)), calibration, each.sizes)
+            used[rows[at]] = calibration.position
     table = points.select(_POINT)
     for name, values in zip(_METRES, metres, strict=True):
         table = table.append_column(name, pa.array(values, from_pandas=True))
     return table.append_column("calibration_position", pa.array(used, mask=used == 0))
 
 
-def _uses(
-    keys: list[Key], time_us: NDArray[np.int64], known: dict[Key, list[Calibrated]], is_named: bool
-) -> Iterator[tuple[NDArray[np.int64], Calibrated, Key]]:
-    """Which rows are read through which calibration."""
+def _valid(known: Known, time_us: Integers, *, is_named: bool) -> Integers:
+    """For each time the number of the calibration that counts, `(n,)`; -1 where there is none."""
+    through = np.full(len(time_us), -1, np.int64)
+    for number, each in enumerate(known.calibrations):
+        if is_named:
+            through[:] = number
+            continue
+        end_us = next((at for at in known.moves_us if at > each.time_us), np.iinfo(np.int64).max)
+        through[(time_us >= each.time_us) & (time_us < end_us)] = number
+    return through
+
+
+def _of_sources(points: pa.Table, known: dict[Key, Known]) -> Iterator[tuple[Known, Integers]]:
+    """What is known of each source that has a calibration, with its rows."""
     index = {key: at for at, key in enumerate(known)}
+    keys = zip(points.column("station").to_pylist(), points.column("source").to_pylist(), strict=True)
     of = np.array([index.get(key, -1) for key in keys], np.int64)
     for key, at in index.items():
-        rows = np.flatnonzero(of == at)
-        begins = np.array([each.time_us for each in known[key]])
-        chosen = np.zeros(len(rows), np.int64) if is_named else np.searchsorted(begins, time_us[rows], "right") - 1
-        for number in np.unique(chosen[chosen >= 0]):
-            yield rows[chosen == number], known[key][number], key
+        if known[key].calibrations:
+            yield known[key], np.flatnonzero(of == at)
 
 
-def _mapped(points: pa.Table, calibration: Calibrated, frame_size: tuple[int, int] | None) -> Floats:
+def _mapped(points: pa.Table, calibration: Calibrated, sizes: list[tuple[int, tuple[int, int]]]) -> Floats:
     """The metres of these points, `(6, n)`."""
-    wide, high = 1.0, 1.0
-    if frame_size is not None:
-        wide, high = (to / of for to, of in zip(calibration.frame_size, frame_size, strict=True))
+    wide, high = _scales(points, calibration.frame_size, sizes)
     x, y, vx, vy, y1, y2 = (
         points.column(name).to_numpy().astype(np.float64) for name in ("x", "y", "vx", "vy", "y1", "y2")
     )
@@ -104,20 +128,44 @@ def _mapped(points: pa.Table, calibration: Calibrated, frame_size: tuple[int, in
     )
 
 
-def _by_source(calibrations: pa.Table, position: int | None) -> dict[Key, list[Calibrated]]:
-    """Each source's calibrations in order of time; of a named position the last only."""
-    found: dict[Key, list[Calibrated]] = {}
-    for row in _in_time(calibrations):
+def _scales(points: pa.Table, to: tuple[int, int], sizes: list[tuple[int, tuple[int, int]]]) -> tuple[Floats, Floats]:
+    """Pixels of the calibration for one of each point, across and down, `(n,)`; 1 where no video is known."""
+    if not sizes:
+        return np.ones(len(points)), np.ones(len(points))
+    position = points.column("position").to_numpy()
+    at = np.searchsorted([start for start, _ in sizes[1:]], position, "right")
+    width, height = np.array([size for _, size in sizes], np.float64)[at].T
+    return to[0] / width, to[1] / height
+
+
+def _by_source(calibrations: pa.Table, videos: pa.Table, changes: pa.Table, position: int | None) -> dict[Key, Known]:
+    """What is known of each source; of calibrations at a named position the last only."""
+    found: dict[Key, Known] = {}
+
+    def of(row: dict[str, Any]) -> Known:
+        return found.setdefault((row["station"], row["source"]), Known([], [], []))
+
+    for row in _said(calibrations):
         if position is None or row["position"] == position:
-            each = found.setdefault((row["station"], row["source"]), [])
-            each[:] = [*(each if position is None else ()), _calibrated(row)]
+            of(row).calibrations.append(_calibrated(row))
+    for row in _said(videos):
+        of(row).sizes.append((row["position"], (row["width"], row["height"])))
+    for row in _said(changes):
+        if row["cause"] == "moved":
+            of(row).moves_us.append(microseconds(row["time"]))
+    for each in found.values():
+        each.moves_us.sort()
     return found
 
 
-def _in_time(rows: pa.Table) -> list[dict[str, Any]]:
-    order = [("time", "ascending"), ("position", "ascending"), ("sequence", "ascending")]
-    ordered: list[dict[str, Any]] = rows.sort_by(order).to_pylist()
+def _said(rows: pa.Table) -> list[dict[str, Any]]:
+    """The rows in the order in which they were said."""
+    ordered: list[dict[str, Any]] = rows.sort_by([("position", "ascending"), ("sequence", "ascending")]).to_pylist()
     return ordered
+
+
+def _microseconds(points: pa.Table) -> Integers:
+    return np.asarray(points.column("time").cast(pa.int64()).to_numpy())
 
 
 def _calibrated(row: dict[str, Any]) -> Calibrated:

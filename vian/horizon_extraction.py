@@ -36,6 +36,7 @@ from store import Appender, Log, SequenceConflict
 from vian.errors import WorldFailed, WrongUsage
 from vian.exclusive import exclusively
 from vian.extraction import Stamp, wall_clock
+from vian.resuming import resume
 
 E = TypeVar("E", bound=EventType)
 
@@ -154,9 +155,7 @@ class _Run:
     def whole(self) -> ProcessFinished:
         """Fold all points that were there at the start; what the process said last."""
         for event_type in _SAID:
-            stream = self._job.stream(event_type)
-            here = self._job.log.stream_head(stream, at_position=self._at_start).sequence
-            self._appender.resume_at(stream, here)
+            resume(self._job.log, self._appender, self._job.stream(event_type), self._at_start)
         horizon: Horizon | None = None
         size: FrameSize | None = None
         for batch in self._batches():

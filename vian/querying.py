@@ -22,6 +22,7 @@ from events import (
     CameraCalibrated,
     EventBatch,
     EventType,
+    SceneChanged,
     Segment,
     TrackPoint,
     UnknownType,
@@ -205,7 +206,8 @@ def _ground(log: Log, scope: Scope) -> pa.Table:
             f"there is no calibration at position {scope.calibration}; there are: {have}. "
             'Next: vian query "SELECT position, source, time, method FROM camera_calibrated"'
         )
-    return track_ground(points, calibrations, _rows(log, VideoAdded, always), scope.calibration)
+    videos, changes = (_rows(log, each, always) for each in (VideoAdded, SceneChanged))
+    return track_ground(points, calibrations, videos, changes, scope.calibration)
 
 
 def _events(log: Log, scope: Scope) -> pa.Table:

@@ -14,7 +14,8 @@ from patterns.files.loading import load_rule, load_rules, rule_files, yaml_files
 from patterns.files.rule import Rule
 from patterns.language.parser import parse
 from patterns.limits import Limits
-from patterns.processor import OpenMatches, ProcessorLimits, deploy, schemas
+from patterns.processor import OpenMatches, ProcessorLimits, deploy, readable_by, rules_in_service, schemas
+from patterns.tools.cases import run_tests
 from store import Log
 from vian.clock import utc_now
 from vian.errors import WrongUsage
@@ -70,6 +71,30 @@ def readable_rules(files: Sequence[Path]) -> list[Rule]:
             rule = load_rule(file)
             rules.setdefault(rule.rule, rule)
     return list(rules.values())
+
+
+def doubts(log: Log, rules: Sequence[Rule]) -> list[str]:
+    """What speaks against putting the rules into service, though they fit: places without events, failing tests."""
+    return misplaced(log, rules) + _failing(log, rules)
+
+
+def _failing(log: Log, rules: Sequence[Rule]) -> list[str]:
+    """A remark for each rule whose own tests do not pass."""
+    remarks = []
+    others = [*rules_in_service(log), *rules]
+    for rule in rules:
+        known = readable_by(log, rule, others)
+        try:
+            failed = [result.name for result in run_tests(rule, known) if not result.passed]
+        except RuleError as error:
+            remarks.append(f"{rule.rule}: its own tests do not run: {error}")
+            continue
+        if failed:
+            remarks.append(
+                f"{rule.rule}: {len(failed)} of its own {len(rule.tests)} tests fail: {', '.join(failed)}. "
+                f"Next: vian rules test {rule.path or 'FILE'}"
+            )
+    return remarks
 
 
 def misplaced(log: Log, rules: Sequence[Rule]) -> list[str]:

@@ -178,6 +178,9 @@ class Settings(BaseSettings):
     """an interruption longer than this ends the extraction with an error, in hours"""
     live_queue_frames: Annotated[int, Field(ge=1, le=256)] = 8
     """pictures of a live stream that wait for the extractor; of more the oldest are left out, and counted"""
+    live_ca_file: Path | None = None
+    """certificates (PEM) of which a camera of `rtsps` or `https` must have one, or one that they vouch for; by default
+    none is checked, for most cameras make their own"""
 
     @classmethod
     def settings_customise_sources(

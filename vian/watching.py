@@ -22,7 +22,7 @@ from store import Log
 from vian.clock import utc_now
 from vian.errors import WrongUsage
 from vian.parts import Part, stepping
-from vian.rules import deploy_all, misplaced
+from vian.rules import deploy_all, doubts
 
 logger = structlog.get_logger()
 
@@ -173,8 +173,8 @@ class RulesWatch:
         return rule
 
     def _is_deployed(self, rule: Rule, path: Path) -> bool:
-        for remark in misplaced(self._log, [rule]):
-            logger.warning("rule may find nothing", remark=remark)
+        for remark in doubts(self._log, [rule]):
+            logger.warning("rule is doubtful", remark=remark)
         try:
             deployed = bool(deploy_all(self._log, self._station, [rule]))
         except PatternError as error:

@@ -3,7 +3,7 @@
 from extractors.calibration.camera import Camera, camera_of, meeting_point
 from extractors.calibration.config import NAME, VERSION, CalibrationConfig
 from extractors.calibration.errors import CalibrationError, NotACamera, NotDecided
-from extractors.calibration.estimate import Boxes, Estimate, Horizon, estimate
+from extractors.calibration.estimate import Estimate, Horizon, estimate
 from extractors.calibration.fold import CalibrationFold
 from extractors.calibration.ground import Ground, ground_of
 from extractors.calibration.scale import CameraHeight, KnownLength, PersonHeight, Scale
@@ -11,7 +11,6 @@ from extractors.calibration.scale import CameraHeight, KnownLength, PersonHeight
 __all__ = [
     "NAME",
     "VERSION",
-    "Boxes",
     "CalibrationConfig",
     "CalibrationError",
     "CalibrationFold",

@@ -16,14 +16,14 @@ PIXEL_DEVIATION = 1.5
 
 @dataclass(frozen=True, slots=True)
 class PersonHeight:
-    """The mean height of the people who pass, m, and the standard deviation from one to the other, m."""
+    """The mean height of the people who pass, m, and the standard deviation of what is known of that, m."""
 
     metres: float
     deviation: float
 
     @property
     def share(self) -> float:
-        """The standard deviation of a height's logarithm."""
+        """The standard deviation of the mean height's logarithm."""
         return self.deviation / self.metres
 
     @property

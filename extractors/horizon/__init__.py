@@ -2,7 +2,19 @@
 
 from extractors.horizon.camera import FrameSize, Line
 from extractors.horizon.config import NAME, VERSION, HorizonConfig
+from extractors.horizon.fit import Fit
 from extractors.horizon.fold import Estimate, Horizon, estimated
 from extractors.horizon.points import TrackPoints
 
-__all__ = ["NAME", "VERSION", "Estimate", "FrameSize", "Horizon", "HorizonConfig", "Line", "TrackPoints", "estimated"]
+__all__ = [
+    "NAME",
+    "VERSION",
+    "Estimate",
+    "Fit",
+    "FrameSize",
+    "Horizon",
+    "HorizonConfig",
+    "Line",
+    "TrackPoints",
+    "estimated",
+]

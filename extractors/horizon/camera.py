@@ -75,6 +75,27 @@ def log_heights(camera: Floats, log_size: Floats, foot_xy: Floats, size: FrameSi
     return np.asarray(np.log(np.maximum(focal * (y - head_y), 1e-3)))
 
 
+def feet_of(camera: Floats, middle_xy: Floats, height_px: Floats, size: FrameSize) -> Floats:
+    """Where upright objects with these boxes stand, px, `(n, 2)`.
+
+    Under a rolled camera bodies lean in the picture: the middle of a box is that of foot and head, not the foot.
+
+    Args:
+        camera: `tilt (rad), roll (rad), log of the focal length (px)`.
+        middle_xy: Middles of the boxes' lower edges, px, `(n, 2)`.
+        height_px: Heights of the boxes, px, `(n,)`.
+        size: Of the frame.
+    """
+    tilt, roll, log_focal = camera
+    focal, n = np.exp(log_focal), up(tilt, roll)
+    middle, y = (middle_xy[:, 0] - size.width / 2) / focal, (middle_xy[:, 1] - size.height / 2) / focal
+    head_y = y - height_px / focal
+    share = height_px / focal / np.maximum(head_y * n[2] - n[1], DEPTH_MIN)  # the head is this part of n nearer
+    nearer = np.maximum(1 + share * n[2], 1 - SHARE_MAX)
+    x = (2 * middle * nearer - share * n[0]) / (1 + nearer)
+    return np.stack([x * focal + size.width / 2, middle_xy[:, 1]], axis=1)
+
+
 def ground_points(camera: Floats, foot_xy: Floats, size: FrameSize) -> Floats:
     """Where on the ground these points of the picture lie: right and ahead of the camera, camera heights, `(n, 2)`.
 

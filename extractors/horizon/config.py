@@ -59,9 +59,9 @@ class HorizonConfig(BaseModel):
     one line they do not"""
     noise_max: Positive = 0.1
     """largest typical error of a box's edge (share of its height): beyond it these are no objects on a plane"""
-    moved_deviations: Positive = 0.5
+    moved_deviations: Positive = 0.25
     """an estimate is emitted anew when it has moved by so many of its standard deviations ..."""
-    firmed_share: Share = 0.8
+    firmed_share: Share = 0.9
     """... or when its standard deviation has shrunk to this share"""
 
     moving_tracks_min: Annotated[int, Field(ge=3)] = 4
@@ -110,9 +110,9 @@ class HorizonConfig(BaseModel):
     """degrees of freedom of Student's t for objects' heights: children, cycles, cars, false tracks"""
     noise_usual: Positive = 0.02
     """typical relative error of a height, to which the one in pixels is added"""
-    bias_lines: Positive = 0.008
-    """prior standard deviation of what all boxes are too high or too low by, of the frame's height: boxes of
-    detectors and annotators have margins of a few pixels"""
+    bias_lines: Positive = 0.005
+    """prior standard deviation of what all boxes are too high or too low by, of the frame's height: detectors and
+    annotators leave a margin of one or two of 576 lines at either end"""
     pace_spread: Positive = 0.3
     """standard deviation of the logarithm of objects' paces about the usual one"""
     pace_median: Positive = 0.26
@@ -123,8 +123,16 @@ class HorizonConfig(BaseModel):
     """degrees of freedom of Student's t for changes of pace: people stop"""
     pace_floor: Positive = 0.06
     """smallest typical change of pace that is believed (standard deviation of the logarithm)"""
-    pace_weight: Annotated[float, Field(gt=0, le=1)] = 0.25
-    """how much a step counts: changes of pace last for more than one"""
+    chord: Positive = 0.75
+    """length in the picture of a stretch over which a pace is taken, box heights: over shorter ones the foot's noise
+    and the swing of legs make ways seem longer, most so along the view"""
+    pace_weight: Annotated[float, Field(gt=0, le=1)] = 0.4
+    """how much a stretch counts: changes of pace last for more than one"""
+    pace_trend: Share = 0.1
+    """standard deviation of what all paces may change by across the frame (their logarithm): people slow down at a
+    door or a crossing, whoever they are"""
+    height_trend: Share = 0.02
+    """likewise of heights: ground that is not quite a plane"""
     model_share: Positive = 0.004
     """standard deviation of what the model leaves out (lens distortion, uneven ground), of the frame's height"""
 

@@ -16,6 +16,9 @@ from extractors.horizon.camera import Floats
 DIFFERENCE = 1e-5
 """Step of numeric derivatives; the models are smooth and their values of order one."""
 
+CURVATURE_MIN = 0.2
+"""Below this share of the weights' Hessian most misfits are outliers, and no interval would hold."""
+
 
 @dataclass(frozen=True, slots=True)
 class Belief:
@@ -35,6 +38,8 @@ class Part:
     """each track's part of the gradient, `(tracks, c)`"""
     hessians: Floats
     """each track's part of the Hessian, `(tracks, c, c)`"""
+    trends: Floats
+    """what the gradient would be by a misfit that grows by its usual trend over the frame, `(trends, c)`"""
     coupling: Floats
     own_hessian: Floats
     own_gradient: Floats
@@ -57,6 +62,7 @@ class Evidence(ABC):
         noise_floor: float,
         own_spread: float,
         own_tail: float,
+        trends: Floats,
     ) -> None:
         """Set the statistics.
 
@@ -68,10 +74,12 @@ class Evidence(ABC):
             noise_floor: Smallest scale that is believed.
             own_spread: Scale of the tracks' own unknowns about nought.
             own_tail: Their degrees of freedom.
+            trends: What all misfits may have in common by where they are in the frame, one standard deviation of each
+                trend, `(n, trends)`.
         """
         self._track, self._tracks, self._weight = track, tracks, weight
         self._tail, self._noise_floor = tail, noise_floor
-        self._own_spread, self._own_tail = own_spread, own_tail
+        self._own_spread, self._own_tail, self._trends = own_spread, own_tail, trends
         self.counts = np.bincount(track, minlength=tracks)
 
     @abstractmethod
@@ -99,24 +107,34 @@ class Evidence(ABC):
         """How usual each track's own unknown is, 0 to 1, `(tracks,)`."""
         return self._own_tail / (self._own_tail + (belief.own / self._own_spread) ** 2)
 
-    def part(self, camera: Floats, belief: Belief, misfits: Floats, track_weights: Floats) -> Part:
-        """Normal equations at this camera."""
+    def part(
+        self, camera: Floats, belief: Belief, misfits: Floats, track_weights: Floats, *, is_last: bool = False
+    ) -> Part:
+        """Normal equations at this camera.
+
+        With `is_last` the Hessian is the mean one of the robust costs instead of their weights', which is larger: for
+        Student's t by (v + 3) / (v + 1). Steps need the one, intervals the other (Huber 1981, section 7.6).
+        """
         jacobian = self._jacobian(camera, belief.own, misfits)
         by_own = (misfits - self.misfits(camera, belief.own + DIFFERENCE)) / DIFFERENCE
         robust = (self._tail + 1) / (self._tail + (misfits / belief.noise) ** 2) / belief.noise**2
         weights = self._weight * track_weights[self._track] * robust
         own_weights = self.own_weights(belief) * (self._own_tail + 1) / self._own_tail / self._own_spread**2
-        own_hessian = self._sums(weights * by_own**2) + own_weights
         own_gradient = self._sums(weights * by_own * misfits) - own_weights * belief.own
+        gradients = self._sums_of((weights * misfits)[:, None] * jacobian)
+        if is_last:
+            weights = weights * _curvature(weights, misfits / belief.noise, self._tail)
+            own_weights = own_weights * _curvature(own_weights, belief.own / self._own_spread, self._own_tail)
+        own_hessian = self._sums(weights * by_own**2) + own_weights
         coupling = self._sums_of((weights * by_own)[:, None] * jacobian)
-        scores = (
-            self._sums_of((weights * misfits)[:, None] * jacobian) - coupling * (own_gradient / own_hessian)[:, None]
-        )
+        scores = gradients - coupling * (own_gradient / own_hessian)[:, None]
         size = len(camera)
         products = (weights[:, None, None] * jacobian[:, :, None] * jacobian[:, None, :]).reshape(-1, size * size)
         hessians = self._sums_of(products).reshape(-1, size, size)
         hessians -= coupling[:, :, None] * coupling[:, None, :] / own_hessian[:, None, None]
-        return Part(scores, hessians, coupling, own_hessian, own_gradient)
+        trends = (weights[:, None] * self._trends).T @ jacobian
+        trends -= (self._sums_of((weights * by_own)[:, None] * self._trends) / own_hessian[:, None]).T @ coupling
+        return Part(scores, hessians, trends, coupling, own_hessian, own_gradient)
 
     def _jacobian(self, camera: Floats, own: Floats, misfits: Floats) -> Floats:
         """Derivatives of the misfits by the camera, negative, `(n, c)`."""
@@ -130,3 +148,11 @@ class Evidence(ABC):
 
     def _sums_of(self, columns: Floats) -> Floats:
         return np.stack([self._sums(column) for column in columns.T], axis=1)
+
+
+def _curvature(weights: Floats, ratios: Floats, tail: float) -> float:
+    """Mean second derivative of Student's cost over the mean weight, 0 to 1."""
+    if not len(ratios) or not weights.sum() > 0:
+        return 1.0
+    share = np.average((tail - ratios**2) / (tail + ratios**2), weights=weights)
+    return float(max(share, CURVATURE_MIN))

@@ -47,6 +47,8 @@ class Fit:
     """of slope and offset, `(2, 2)`"""
     noise: float
     """typical error of a box's edge, share of its height"""
+    aspect: float
+    """height over width of most boxes"""
     cost: float
     """twice the negative log posterior, up to a constant"""
     track_weights: Floats
@@ -86,6 +88,10 @@ class _Normal:
         return self.heights.scores + self.paces.scores
 
     @property
+    def trends(self) -> Floats:
+        return np.concatenate([self.heights.trends, self.paces.trends])
+
+    @property
     def hessians(self) -> Floats:
         return self.heights.hessians + self.paces.hessians
 
@@ -102,7 +108,7 @@ class _Problem:
     """The evidence, the priors, and one step of the method."""
 
     def __init__(self, places: Places, size: FrameSize, config: HorizonConfig) -> None:
-        self._size, self._config = size, config
+        self._size, self._config, self._aspect = size, config, places.aspect
         self._tracks = int(places.track.max()) + 1
         self._heights = Heights(places, self._tracks, size, config)
         self._paces = Paces(places, self._tracks, size, config)
@@ -144,7 +150,7 @@ class _Problem:
 
     def judged(self, state: _State) -> Fit:
         """The state as a fit, with its covariance."""
-        state, normal = self._normal(state)
+        state, normal = self._normal(state, is_last=True)
         covariance = self._covariance(normal)
         jacobian = self._line_jacobian(state.camera)
         line_covariance = jacobian @ covariance @ jacobian.T
@@ -155,11 +161,12 @@ class _Problem:
             line=self._line(state.camera),
             line_covariance=line_covariance,
             noise=state.heights.noise,
+            aspect=self._aspect,
             cost=self._cost(state),
             track_weights=normal.track_weights * self._heights.own_weights(state.heights),
         )
 
-    def _normal(self, state: _State) -> tuple[_State, _Normal]:
+    def _normal(self, state: _State, *, is_last: bool = False) -> tuple[_State, _Normal]:
         """The state with its noises adapted, and the normal equations there."""
         height_misfits = self._heights.misfits(state.camera, state.heights.own)
         pace_misfits = self._paces.misfits(state.camera, state.paces.own)
@@ -167,8 +174,8 @@ class _Problem:
         paces = self._paces.settled(state.paces, pace_misfits)
         weights = np.exp(-self._heights.track_costs(heights, height_misfits) / self._config.track_misfit)
         normal = _Normal(
-            self._heights.part(state.camera, heights, height_misfits, weights),
-            self._paces.part(state.camera, paces, pace_misfits, weights),
+            self._heights.part(state.camera, heights, height_misfits, weights, is_last=is_last),
+            self._paces.part(state.camera, paces, pace_misfits, weights, is_last=is_last),
             self._prior,
             -self._prior @ (state.camera - self._prior_mean),
             weights,
@@ -181,7 +188,8 @@ class _Problem:
         count = len(inverse)
         left_out = (1 + LEVERAGE_MIN) * np.eye(count) - normal.hessians @ inverse
         scores = np.linalg.solve(left_out, normal.scores[:, :, None])[:, :, 0]
-        meat = scores.T @ scores + self._prior
+        trends = normal.trends
+        meat = scores.T @ scores + trends.T @ trends + self._prior
         shares = np.einsum("ijk,kj->i", normal.hessians, inverse)
         freedom = max(shares.sum() ** 2 / (shares**2).sum() - 1, TRACKS_FEW)
         factor = student.ppf(0.975, freedom) / student.ppf(0.975, np.inf)

@@ -6,6 +6,7 @@ time of an update are bounded by configuration. Says nothing where the data do n
 too wide an interval, a roll that is only the prior's, boxes that are no objects on a plane, a camera that moves.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from itertools import pairwise
@@ -31,11 +32,13 @@ _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """A horizon that the data decide."""
+    """A horizon, and whether the data decide it."""
 
     fit: Fit
     votes: int
     """tracks with a vote among those that it rests on"""
+    doubt: str = ""
+    """why they do not decide it, for people; empty if they do"""
 
 
 class Horizon:
@@ -55,6 +58,10 @@ class Horizon:
         self._last_us = 0
         self._held: TrackPoints | None = None
         self._is_changed = False
+        self.on_estimate: Callable[[int, Estimate, bool], None] | None = None
+        """told each estimate, also in doubt or no news: its time (µs since 1970, UTC), and whether it is the last"""
+        self.reason = "no track has moved yet"
+        """why the last look found no line, for people; empty if it did"""
         self.frames = 0
         """frames with points that were taken in"""
 
@@ -83,7 +90,7 @@ class Horizon:
         self.flush()
         for number in list(self._open):
             self._close(number)
-        self._estimate()
+        self._estimate(is_last=True)
 
     def take(self) -> tuple[EventBatch, ...]:
         """What came out since the last call: votes, then estimates; empty where there is nothing to say."""
@@ -93,12 +100,8 @@ class Horizon:
 
     def estimate(self) -> Estimate | None:
         """The horizon by all whole frames that were taken in; None where they do not decide."""
-        paths = [*self._closed, *self._open.values()][-self._config.tracks_max :]
-        votes = sum(vote_of(path.rows(), self._config) is not None for path in paths)
-        if self._is_moving or votes < self._config.tracks_min:
-            return None
-        fit = fitted(places_of(paths, self._config), self._size, self._config, STARTS)
-        return Estimate(fit, votes) if self._is_decided(fit) else None
+        found = self._found()
+        return None if found is None or found.doubt else found
 
     def flush(self) -> None:
         """The last frame is whole, too."""
@@ -158,11 +161,15 @@ class Horizon:
                 )
             )
 
-    def _estimate(self) -> None:
-        """Say what the estimate is, if it is one and has moved or firmed up."""
-        found = self.estimate() if self._is_changed else None
+    def _estimate(self, *, is_last: bool = False) -> None:
+        """Say what the estimate is, if it is one and has moved or firmed up; the last one in any case."""
+        found = self._found() if self._is_changed else None
         self._is_changed = False
-        if found is None or not self._is_news(found.fit):
+        if found is None:
+            return
+        if self.on_estimate is not None:
+            self.on_estimate(self._last_us, found, is_last)
+        if found.doubt or not (is_last or self._is_news(found.fit)):
             return
         fit, self._said = found.fit, found.fit
         (slope_variance, covariance), (_, offset_variance) = fit.line_covariance
@@ -180,15 +187,37 @@ class Horizon:
             )
         )
 
-    def _is_decided(self, fit: Fit) -> bool:
-        config, width = self._config, self._size.width
+    def _found(self) -> Estimate | None:
+        """The likeliest horizon; None where there is too little, or no objects on a plane."""
+        config = self._config
+        paths = [*self._closed, *self._open.values()][-config.tracks_max :]
+        votes = sum(vote_of(path.rows(), config) is not None for path in paths)
+        if self._is_moving:
+            self.reason = "all tracks move alike: the camera moves"
+            return None
+        if votes < config.tracks_min:
+            self.reason = f"a horizon takes {config.tracks_min} tracks that come or go, got {votes}"
+            return None
+        fit = fitted(places_of(paths, self._size, config), self._size, config, STARTS)
+        if not fit.noise <= config.noise_max:
+            self.reason = (
+                f"the boxes' edges are off by {fit.noise:.0%} of their heights, wanted {config.noise_max:.0%}: "
+                "these are no upright things on one plane"
+            )
+            return None
+        self.reason = ""
+        return Estimate(fit, votes, self._doubt(fit))
+
+    def _doubt(self, fit: Fit) -> str:
+        """Why the data do not decide the horizon; empty if they do."""
+        config, (width, height) = self._config, (self._size.width, self._size.height)
         deviation = max(fit.deviation_at(x) for x in (0.0, width / 2, float(width)))
-        roll_deviation = np.sqrt(fit.covariance[1, 1])
-        return bool(
-            deviation <= config.deviation_share_max * self._size.height
-            and roll_deviation <= (1 - config.roll_learnt_min) * np.radians(config.roll_spread_deg)
-            and fit.noise <= config.noise_max
-        )
+        wanted = config.deviation_share_max * height
+        if not deviation <= wanted:
+            return f"the horizon is known within {deviation:.0f} px, wanted {wanted:.0f} px"
+        if not np.sqrt(fit.covariance[1, 1]) <= (1 - config.roll_learnt_min) * np.radians(config.roll_spread_deg):
+            return "the tracks say little of the camera's roll: all move along one line"
+        return ""
 
     def _is_news(self, fit: Fit) -> bool:
         if self._said is None:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from extractors.horizon.camera import Floats, FrameSize, log_heights
+from extractors.horizon.camera import Floats, FrameSize, feet_of, log_heights
 from extractors.horizon.config import HorizonConfig
 from extractors.horizon.evidence import Evidence
 from extractors.horizon.places import Places
@@ -25,6 +25,7 @@ class Heights(Evidence):
             noise_floor=config.noise_floor,
             own_spread=config.object_spread,
             own_tail=config.object_tail,
+            trends=config.height_trend * places.frame_xy,
         )
         self._places, self._size = places, size
         self._height_px = np.exp(places.log_height)
@@ -46,9 +47,10 @@ class Heights(Evidence):
             heights = np.exp(log_heights(camera[:3], log_size, feet_xy, size))
             return np.asarray(np.log(np.maximum(heights + bias_px, HEIGHT_MIN)))
 
-        here = expected(places.foot_xy)
+        feet_xy = feet_of(camera[:3], places.middle_xy, self._height_px, size)
+        here = expected(feet_xy)
         right, down = (
-            (expected(places.foot_xy + step) - here) * self._height_px / FOOT_STEP
+            (expected(feet_xy + step) - here) * self._height_px / FOOT_STEP
             for step in (np.array([FOOT_STEP, 0.0]), np.array([0.0, FOOT_STEP]))
         )
         spread = np.sqrt(self._edge_variance * (1 + (1 - down) ** 2 + right**2 / 2))
@@ -57,5 +59,6 @@ class Heights(Evidence):
     def usual_size(self, camera: Floats) -> float:
         """Logarithm of the size that the median place has under this camera."""
         sizes = np.full(len(self._height_px), camera[3])
-        off = self._places.log_height - log_heights(camera[:3], sizes, self._places.foot_xy, self._size)
+        feet_xy = feet_of(camera[:3], self._places.middle_xy, self._height_px, self._size)
+        off = self._places.log_height - log_heights(camera[:3], sizes, feet_xy, self._size)
         return float(camera[3] + np.median(off))

@@ -3,9 +3,12 @@
 It does not rest on the boxes' heights, so it holds where these are off by the same pixels near and far.
 """
 
-import numpy as np
+import math
 
-from extractors.horizon.camera import Floats, FrameSize, ground_points
+import numpy as np
+import numpy.typing as npt
+
+from extractors.horizon.camera import Floats, FrameSize, feet_of, ground_points
 from extractors.horizon.config import HorizonConfig
 from extractors.horizon.evidence import Evidence
 from extractors.horizon.places import Places
@@ -15,24 +18,26 @@ class Paces(Evidence):
     """Misfit of a step from one place to the next: its pace on the ground against its track's own."""
 
     def __init__(self, places: Places, tracks: int, size: FrameSize, config: HorizonConfig) -> None:
-        apart_s = np.diff(places.time_s)
-        is_step = (np.diff(places.track) == 0) & (apart_s > 0)
-        self._from, self._to = places.foot_xy[:-1][is_step], places.foot_xy[1:][is_step]
-        self._log_s, self._size = np.log(apart_s[is_step]), size
-        track = places.track[1:][is_step]
+        self._places, self._size = places, size
+        self._from, self._to = chords(places, config.chord)
+        self._log_s = np.log(places.time_s[self._to] - places.time_s[self._from])
+        track = places.track[self._to]
         super().__init__(
             track,
             tracks,
-            weight=config.pace_weight * np.minimum(places.likeness[1:], places.likeness[:-1])[is_step],
+            weight=config.pace_weight * np.minimum(places.likeness[self._from], places.likeness[self._to]),
             tail=config.pace_tail,
             noise_floor=config.pace_floor,
             own_spread=config.pace_spread,
             own_tail=config.object_tail,
+            trends=config.pace_trend * (places.frame_xy[self._from] + places.frame_xy[self._to]) / 2,
         )
 
     def misfits(self, camera: Floats, own: Floats) -> Floats:
         """Misfits of the logarithm of the paces, camera heights per s."""
-        way = ground_points(camera[:3], self._to, self._size) - ground_points(camera[:3], self._from, self._size)
+        feet_xy = feet_of(camera[:3], self._places.middle_xy, np.exp(self._places.log_height), self._size)
+        ground = ground_points(camera[:3], feet_xy, self._size)
+        way = ground[self._to] - ground[self._from]
         log_pace = np.log(np.maximum(np.hypot(*way.T), 1e-9)) - self._log_s
         return np.asarray(log_pace - camera[5] - own[self._track])
 
@@ -42,3 +47,23 @@ class Paces(Evidence):
             return 0.0
         off = self.misfits(camera, np.zeros(self._tracks))
         return float(camera[5] + np.median(off))
+
+
+def chords(places: Places, share: float) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """First and last place of each stretch of a track, `(n,)`: one begins where the one before ended.
+
+    Args:
+        places: In order of track, then of time.
+        share: How far apart they are in the picture, box heights.
+    """
+    first, last, began = [], [], 0
+    x, y = places.middle_xy.T.tolist()
+    track, time_s, height = places.track.tolist(), places.time_s.tolist(), np.exp(places.log_height).tolist()
+    for at in range(1, len(track)):
+        if track[at] != track[began]:
+            began = at
+        elif math.hypot(x[at] - x[began], y[at] - y[began]) >= share * height[began] and time_s[at] > time_s[began]:
+            first.append(began)
+            last.append(at)
+            began = at
+    return np.array(first, np.int64), np.array(last, np.int64)

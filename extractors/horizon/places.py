@@ -25,14 +25,18 @@ class Places:
     """index of the track, from 0, `(n,)`"""
     time_s: Floats
     """when the track was there, s, `(n,)`"""
-    foot_xy: Floats
-    """middle of the box's lower edge, px, `(n, 2)`"""
+    middle_xy: Floats
+    """middle of the box's lower edge, px, `(n, 2)`; where it stands only without roll"""
     log_height: Floats
     """logarithm of the box's height in px, `(n,)`"""
     likeness: Floats
     """how much the box has the shape that most have, 0 to 1, `(n,)`"""
     points: Floats
     """track points that the place is made of, `(n,)`"""
+    frame_xy: Floats
+    """where in the frame that is, -0.5 to 0.5 on both axes, `(n, 2)`"""
+    aspect: float
+    """height over width that most have; 0 without places"""
 
 
 @dataclass(slots=True)
@@ -80,23 +84,25 @@ def is_whole(boxes_xyxy: Floats, confidence: Floats, size: FrameSize, config: Ho
     border = config.border_share * size.height
     edges = np.array([0, 0, size.width, size.height])
     is_cut = (np.abs(boxes_xyxy - edges) < border).any(axis=1)
-    heights = boxes_xyxy[:, 3] - boxes_xyxy[:, 1]
-    return np.asarray(
-        ~is_cut & (heights >= config.height_share_min * size.height) & (confidence >= config.confidence_min)
-    )
+    widths, heights = (boxes_xyxy[:, 2:] - boxes_xyxy[:, :2]).T
+    is_high = heights >= config.height_share_min * size.height
+    return np.asarray(~is_cut & is_high & (widths > 0) & (confidence >= config.confidence_min))
 
 
-def places_of(paths: Iterable[Path], config: HorizonConfig) -> Places:
+def places_of(paths: Iterable[Path], size: FrameSize, config: HorizonConfig) -> Places:
     """The places of these tracks as columns, in order."""
     rows = [np.insert(path.rows(), 0, index, axis=1) for index, path in enumerate(paths)]
     table = np.concatenate(rows) if rows else np.zeros((0, 7))
-    shapes = np.log(table[:, 4] / table[:, 5])
-    unlike = (shapes - np.median(shapes)) / config.shape_spread if len(shapes) else shapes
+    shapes = np.log(table[:, 5] / table[:, 4])
+    usual = float(np.median(shapes)) if len(shapes) else -np.inf
+    unlike = (shapes - usual) / config.shape_spread
     return Places(
         track=table[:, 0].astype(np.int64),
         time_s=table[:, 1],
-        foot_xy=table[:, 2:4],
+        middle_xy=table[:, 2:4],
         log_height=np.log(table[:, 5]),
         likeness=1 / (1 + unlike**2) ** 2,
         points=table[:, 6],
+        frame_xy=table[:, 2:4] / [size.width, size.height] - 0.5,
+        aspect=float(np.exp(usual)),
     )

@@ -35,6 +35,14 @@ TONE_BAND_SAMPLES_MIN = 30
 """Fewer pixels in a band say nothing."""
 TONE_CHANGE_MIN = 1.5
 """Smaller changes are left alone: they are far below what makes a pixel foreground, grey levels."""
+SHADOW_MIN = 0.5
+"""Share of the light that a shadow leaves at least; what is darker is an object ..."""
+GREY_SHADOW_MIN = 0.7
+"""... and the same in a grey picture, where most objects would pass for shadows: nothing tells them by their colour."""
+GREY_SPREAD_MAX = 2.0
+"""Channels of a grey picture differ by less, grey levels: conversion rounds, and the noise of colours is larger."""
+GREY_SHARE = 0.99
+"""A picture is grey where this share of its pixels is."""
 YOUNG_SHARE = 0.5
 """The time constant of a new model, of the configured one, to which it grows as time goes by."""
 SPECKLE = 5
@@ -88,6 +96,7 @@ class Background:
         height, width = image.shape[:2]
         held = self._held = self._held or HeldBackground(width, height)
         levelled = self._levelled(image, dt_s)
+        self._subtractor.setShadowThreshold(GREY_SHADOW_MIN if is_grey(self._sample) else SHADOW_MIN)
         held.hold(standing, lambda: self._dominant(levelled))
         mask = self._subtracted(levelled, dt_s, held)
         share = cv2.countNonZero(mask) / mask.size
@@ -110,7 +119,7 @@ class Background:
         """The picture with the tones of the background, channel by channel."""
         self._step = max(1, round(math.sqrt(image.shape[0] * image.shape[1] / TONE_SAMPLES)))
         small = image[:: self._step, :: self._step]
-        sample = small.astype(np.float32)
+        self._sample = sample = small.astype(np.float32)
         if self._reference is None:
             self._reference, self._is_quiet = sample, np.ones(sample.shape[:2], bool)
             return image
@@ -170,6 +179,12 @@ def unchanged_share(image: Image, background: Image, mask: Mask) -> float:
     )
     alike, has_edges = compared(before * is_inside, now * is_inside)
     return 1 - share_different(alike, has_edges) if has_edges.sum() >= BLOCKS_MIN else 0.0
+
+
+def is_grey(sample: Sample) -> bool:
+    """Whether pixels `(rows, columns, 3)` have no colour, as by infrared light."""
+    spread = sample.max(axis=2) - sample.min(axis=2)
+    return bool(np.mean(spread <= GREY_SPREAD_MAX) >= GREY_SHARE)
 
 
 def tone_table(seen: Sample, wanted: Sample, change_max: float) -> Mask | None:

@@ -16,7 +16,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from events import CameraCalibrated, EventType, ZoneDefined, ZoneRemoved
+from events import CameraCalibrated, EventType, SceneChanged, ZoneDefined, ZoneRemoved
 from patterns.binding.bound import BoundRule
 from patterns.binding.inputs import SITUATION, rows_of
 from patterns.binding.rows import (
@@ -440,7 +440,7 @@ def needs(bound: BoundRule, event: EventType, *, needs_calibration: bool) -> boo
     shared = bound.rule.shared
     if isinstance(event, ZoneDefined | ZoneRemoved):
         return event.zone in shared
-    return not isinstance(event, CameraCalibrated) or bool(shared) or needs_calibration
+    return not isinstance(event, CameraCalibrated | SceneChanged) or bool(shared) or needs_calibration
 
 
 def as_table(rows: Rows) -> pa.Table:

@@ -16,6 +16,7 @@ from patterns.processor.deploying import (
     readable_by,
     retire,
     rule_of,
+    rules_in_service,
     schemas,
     standing,
 )
@@ -40,6 +41,7 @@ __all__ = [
     "reports",
     "retire",
     "rule_of",
+    "rules_in_service",
     "schemas",
     "shadow_of",
     "situation_of",

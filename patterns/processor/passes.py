@@ -24,8 +24,10 @@ from events import (
     EventType,
     ProcessFailed,
     ProcessFinished,
+    SceneChanged,
     Segment,
     UnknownType,
+    VideoAdded,
     ZoneDefined,
     ZoneRemoved,
     decode,
@@ -41,7 +43,7 @@ from patterns.errors import RuleTooSlow
 from patterns.processor.limits import ProcessorLimits
 from patterns.processor.members import Finding, Member
 from patterns.processor.saving import SavedState
-from patterns.scene.site import SITE_TYPES
+from patterns.scene.site import SITE_TYPES, is_move
 from store import Log
 
 logger = logging.getLogger(__name__)
@@ -222,7 +224,8 @@ class Pass:
                 if source not in member.uncalibrated:
                     logger.warning(
                         "rule %s version %d asks for metres of source %s, which is not calibrated: it finds none. "
-                        "Next: vian zones calibrate %s POINTS.yaml, or leave the source out in the rule's FROM",
+                        "Next: vian zones calibrate %s POINTS.yaml, let people pass while its extraction runs, or "
+                        "leave the source out in the rule's FROM",
                         member.rule.rule, member.rule.version, source, source,
                     )  # fmt: skip
                 member.uncalibrated[source] = member.uncalibrated.get(source, 0) + len(part)
@@ -300,6 +303,8 @@ class Pass:
     # One segment.
 
     def _told(self, event: EventType, segment: Segment, sequence: int) -> list[Finding]:
+        if isinstance(event, SceneChanged) and not is_move(event):
+            return []
         if not isinstance(event, ENDS):
             return self._learn(event, str(segment.stream), sequence)
         ended = str(segment.stream.source)
@@ -428,26 +433,44 @@ def site_at(log: Log, position: int) -> list[SiteEvent]:
     """What the log says of the cameras when it is read from a position on, in order.
 
     That is what stands up to there; and of what is first said later, the first word: a zone that was drawn when the
-    footage was already in the log holds for all of it.
+    footage was already in the log holds for all of it. A calibration that was found while the footage came holds from
+    its turn on, as it did then; and what follows upon a move of the camera never holds before it.
     """
     names = {str(each.type_name) for each in SITE_TYPES}
     streams = {head.stream for head in log.streams() if head.stream.type in names}
     segments = [each for stream in streams for each in log.read_lives(stream)]
     found: list[SiteEvent] = []
     known: set[tuple[object, ...]] = set()
+    began: dict[str, datetime] = {}
     for segment in sorted(segments, key=lambda each: each.position):
         for at, event in enumerate(_events(segment, log.catalogue)):
-            key = _what(event, str(segment.stream))
-            if segment.position <= position or key not in known:
-                found.append((event, str(segment.stream), segment.header.first_sequence + at))
+            if isinstance(event, SceneChanged) and not is_move(event):
+                continue
+            stream = str(segment.stream)
+            camera, key = stream.rsplit("/", 1)[0], _what(event, stream)
+            if isinstance(event, VideoAdded):
+                began.setdefault(camera, event.started_at)
+            is_first = key not in known and not _is_of_its_moment(event, began.get(camera))
+            if segment.position <= position or is_first:
+                found.append((event, stream, segment.header.first_sequence + at))
             known.add(key)
     return found
 
 
+def _is_of_its_moment(event: EventType, began: datetime | None) -> bool:
+    """Whether it says nothing of the footage before it: a move of the camera, and what was found as footage came in."""
+    is_found = isinstance(event, CameraCalibrated) and event.covariance is not None
+    return is_move(event) or (is_found and began is not None and event.time > began)
+
+
 def _what(event: EventType, stream: str) -> tuple[object, ...]:
     """What the event is about: a camera's frames or calibration, or one of its zones or lines."""
-    is_shape = isinstance(event, ZoneDefined | ZoneRemoved)
-    return stream.rsplit("/", 1)[0], "zone" if is_shape else event.type_name, getattr(event, "zone", None)
+    what: str = event.type_name
+    if isinstance(event, ZoneDefined | ZoneRemoved):
+        what = "zone"
+    elif isinstance(event, SceneChanged):
+        what = CameraCalibrated.type_name
+    return stream.rsplit("/", 1)[0], what, getattr(event, "zone", None)
 
 
 def _events(segment: Segment, catalogue: Catalogue) -> list[EventType]:

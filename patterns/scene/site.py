@@ -1,4 +1,4 @@
-"""What the log has said of the cameras: frame sizes, shared zones and lines, calibrations.
+"""What the log has said of the cameras: frame sizes, shared zones and lines, calibrations and what ends them.
 
 A site learns from events in the order in which they stand in the log, so what it knows depends on
 the log alone. Rows are judged by what is known when they become final; for each version of a zone,
@@ -13,14 +13,14 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from events import CameraCalibrated, EventType, VideoAdded, ZoneDefined, ZoneRemoved
+from events import CameraCalibrated, EventType, SceneChanged, VideoAdded, ZoneDefined, ZoneRemoved
 from patterns.errors import MatchError
 from patterns.scene.geometry import FrameSize, Line, Zone
 from patterns.scene.ground import Calibration
 
 Shape = Zone | Line
 
-SITE_TYPES: tuple[type[EventType], ...] = (VideoAdded, ZoneDefined, ZoneRemoved, CameraCalibrated)
+SITE_TYPES: tuple[type[EventType], ...] = (VideoAdded, ZoneDefined, ZoneRemoved, CameraCalibrated, SceneChanged)
 """The event types that a site learns from."""
 VERSIONS_MOST = 100
 """Versions of one zone, line or calibration that are remembered for lineage; older ones are forgotten."""
@@ -118,6 +118,9 @@ class Site:
             said_of = calibration_of(event, stream, sequence)
             self._add((source, CALIBRATION), Version(said_of, stream, sequence, from_us))
             return True
+        if is_move(event) and self.calibration(source) is not None:
+            self._add((source, CALIBRATION), Version(None, stream, sequence, from_us))
+            return True
         return False
 
     def judged_by(self, name: str, sources: Iterable[str], first_us: int, last_us: int) -> list[Version]:
@@ -157,6 +160,11 @@ class Site:
         if any((each.stream, each.sequence) == (version.stream, version.sequence) for each in versions):
             return  # It was known before its turn, and has held since then.
         self.versions[key] = [*versions, version][-VERSIONS_MOST:]
+
+
+def is_move(event: EventType) -> bool:
+    """Whether the event says that the camera was moved, so that its calibration holds no longer."""
+    return isinstance(event, SceneChanged) and event.cause == "moved"
 
 
 def shape_of(event: ZoneDefined, stream: str, sequence: int) -> Shape:

@@ -3,6 +3,7 @@
 import logging
 from collections.abc import Callable
 from dataclasses import replace
+from datetime import timedelta
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from events import (
     StreamName,
     TrackEnded,
     TrackEndedV1,
+    TrackEndedV2,
     UnknownType,
     batch_of,
     decode,
@@ -42,37 +44,47 @@ ENDS = StreamName.of("brno", "gate", "track_ended")
 WEIGHED = StreamName.of("brno", "gate", "weighed")
 
 
-def ended(track_id: int, x_exit: float, **more: Any) -> Any:
-    kind = TrackEnded if more else TrackEndedV1
+SHAPE = {"duration_s": 0, "x1_mean": 8, "y1_mean": 12, "x2_mean": 12, "y2_mean": 20}
+
+
+def ended(track_id: int, x_exit: float, kind: type[EventType] = TrackEndedV1, **more: Any) -> Any:
     frames = {"first_frame": 1, "last_frame": 9, "points": 9}
     places = {"path_px": 20, "x_entry": 10, "y_entry": 20, "x_exit": x_exit, "y_exit": 24}
     return kind(time=NOON, began_at=NOON, track_id=track_id, reason="lost", **frames, **places, **more)
 
 
 @pytest.fixture
-def both_versions(log: Log) -> Log:
-    """A stream that an old program began and this one goes on with: 5 and 7 px."""
-    said = [ended(1, 13), ended(3, 10, displacement_px=7)]
+def all_versions(log: Log) -> Log:
+    """A stream that two old programs began and this one goes on with: 5, 6 and 7 px."""
+    said = [
+        ended(1, 13),
+        ended(2, 10, TrackEndedV2, displacement_px=6),
+        ended(3, 10, TrackEnded, displacement_px=7, **SHAPE),
+    ]
     log.append([encode(ENDS, batch_of([event]), PRODUCER) for event in said])
     return log
 
 
-def test_an_old_version_is_decoded_as_the_newest_and_as_it_was_stored(both_versions: Log) -> None:
-    old, new = both_versions.read(ENDS)
-    assert (old.header.schema_version, new.header.schema_version) == (1, 2)
-    assert events_of(decode(old, both_versions.catalogue)) == [ended(1, 13, displacement_px=5)]
-    assert events_of(decode(old, both_versions.catalogue, as_stored=True)) == [ended(1, 13)]
-    assert events_of(decode(new, both_versions.catalogue)) == [ended(3, 10, displacement_px=7)]
-    assert verify(both_versions).is_sound
+def test_an_old_version_is_decoded_as_the_newest_and_as_it_was_stored(all_versions: Log) -> None:
+    stored = list(all_versions.read(ENDS))
+    assert [segment.header.schema_version for segment in stored] == [1, 2, 3]
+    old, middle, new = stored
+    unknown = dict.fromkeys(SHAPE) | {"duration_s": 0.0}
+    assert events_of(decode(old, all_versions.catalogue)) == [ended(1, 13, TrackEnded, displacement_px=5, **unknown)]
+    assert events_of(decode(old, all_versions.catalogue, as_stored=True)) == [ended(1, 13)]
+    assert events_of(decode(middle, all_versions.catalogue)) == [ended(2, 10, TrackEnded, displacement_px=6, **unknown)]
+    assert events_of(decode(new, all_versions.catalogue)) == [ended(3, 10, TrackEnded, displacement_px=7, **SHAPE)]
+    assert verify(all_versions).is_sound
 
 
-def test_rows_and_queries_see_the_newest_version_of_all(both_versions: Log) -> None:
-    projector = Projector(both_versions)
+def test_rows_and_queries_see_the_newest_version_of_all(all_versions: Log) -> None:
+    projector = Projector(all_versions)
     projector.catch_up()
     projector.close()
-    sql = "select track_id, displacement_px from track_ended order by track_id"
-    assert query(both_versions, sql) == [(1, 5.0), (3, 7.0)]
-    assert [tuple(row.values()) for row in answer(both_versions, sql).to_pylist()] == [(1, 5.0), (3, 7.0)]
+    sql = "select track_id, displacement_px, x1_mean from track_ended order by track_id"
+    rows = [(1, 5.0, None), (2, 6.0, None), (3, 7.0, 8.0)]
+    assert query(all_versions, sql) == rows
+    assert [tuple(row.values()) for row in answer(all_versions, sql).to_pylist()] == rows
 
 
 def _far_rule(name: str = "far", type_name: str = "track_ended", condition: str = "far.displacement_px > 4") -> Any:
@@ -92,16 +104,16 @@ match: |
 """)
 
 
-def test_rules_see_the_newest_version_of_all(both_versions: Log) -> None:
+def test_rules_see_the_newest_version_of_all(all_versions: Log) -> None:
     finished = ProcessFinished(time=NOON, process="p", frames=1, events=1, gaps=0)
-    both_versions.append([encode(StreamName.of("brno", "gate", "process_finished"), batch_of([finished]), PRODUCER)])
-    assert Processor(both_versions, "brno", [_far_rule()]).catch_up() == 2
+    all_versions.append([encode(StreamName.of("brno", "gate", "process_finished"), batch_of([finished]), PRODUCER)])
+    assert Processor(all_versions, "brno", [_far_rule()]).catch_up() == 3
     found = [
         e
-        for s in both_versions.read_all(types=["situation_detected"])
-        for e in events_of(decode(s, both_versions.catalogue))
+        for s in all_versions.read_all(types=["situation_detected"])
+        for e in events_of(decode(s, all_versions.catalogue))
     ]
-    assert [event.title for event in found] == ["track 1 came far", "track 3 came far"]  # type: ignore[attr-defined]
+    assert [event.title for event in found] == [f"track {number} came far" for number in (1, 2, 3)]  # type: ignore[attr-defined]
 
 
 def from_the_future() -> Draft:
@@ -235,10 +247,46 @@ def test_rows_of_before_get_the_new_column_with_what_the_upcaster_says(server: S
         names = ("x_entry", "y_entry", "x_exit", "y_exit")
         places = [dict(zip(names, map(float, place), strict=True)) for place in PLACES]
         old = batch_of([ended(1, 0).model_copy(update=place) for place in places])
-        wanted = TrackEnded.upcast(old.data).column("displacement_px").to_numpy()
+        wanted = TrackEndedV2.upcast(old.data).column("displacement_px").to_numpy()
         np.testing.assert_array_equal(np.array(got, np.float32).ravel(), wanted)
         test_schema.run(dsn, command.downgrade, "0002")
         with psycopg.connect(dsn) as connection:
             assert connection.execute("select count(*) from track_ended").fetchone() == (len(PLACES),)
+    finally:
+        server.drop_database(name)
+
+
+# How long a track took, in microseconds: none, a part of a second, a day, and one that ended before it began.
+SPANS_US = [0, 1, 333_333, 86_400_000_001, -5]
+
+
+def test_rows_of_before_get_the_duration_that_the_upcaster_says(server: Server) -> None:
+    name = server.create_database("template1")
+    dsn = server.dsn(name)
+    insert = (
+        "insert into track_ended (station, source, time, sequence, position, recorded_at, track_id, began_at, "
+        "first_frame, last_frame, points, path_px, reason, x_entry, y_entry, x_exit, y_exit, displacement_px) "
+        "values ('s', 'c', %s, %s, 1, now(), 1, %s, 0, 0, 1, 0, 'lost', 0, 0, 3, 4, 5)"
+    )
+    tracks = [
+        ended(1, 3, TrackEndedV2, displacement_px=5).model_copy(
+            update={"began_at": NOON - timedelta(microseconds=span)}
+        )
+        for span in SPANS_US
+    ]
+    try:
+        test_schema.run(dsn, command.upgrade, "0018")
+        with psycopg.connect(dsn) as connection:
+            connection.execute("select ensure_partition('track_ended', '2026-01-01')")
+            for number, track in enumerate(tracks):
+                connection.execute(insert, (track.time, number, track.began_at))
+        test_schema.run(dsn, command.upgrade, "0019")
+        with psycopg.connect(dsn) as connection:
+            got = connection.execute("select duration_s, x1_mean from track_ended order by sequence").fetchall()
+        wanted = TrackEnded.upcast(batch_of(tracks).data).column("duration_s").to_pylist()
+        assert got == [(duration_s, None) for duration_s in wanted]
+        test_schema.run(dsn, command.downgrade, "0018")
+        with psycopg.connect(dsn) as connection:
+            assert connection.execute("select count(*) from track_ended").fetchone() == (len(SPANS_US),)
     finally:
         server.drop_database(name)

@@ -1,13 +1,15 @@
-"""Live streams on this machine, made for the tests: RTSP with H.264 over TCP, and HTTP with MJPEG or MPEG-TS.
+"""Live streams on this machine, made for the tests: RTSP with H.264, and HTTP with MJPEG or MPEG-TS.
 
 Only the network is a stand-in. The RTSP server knows what a client needs to play one stream that is
-interleaved with its control connection (RFC 2326, RFC 6184), and each way in which a camera may fail.
+interleaved with its control connection or comes by UDP (RFC 2326, RFC 6184), and each way in which a camera may
+fail.
 """
 
 import base64
 import io
 import socket
 import socketserver
+import ssl
 import struct
 import threading
 import time
@@ -43,6 +45,10 @@ class Camera:
     """frames per second that it sends"""
     says_ntp: float | None = None
     """its wall clock, s since 1970 at its first frame; None: it says nothing of it"""
+    is_udp: bool = False
+    """sends by UDP, and in no other way"""
+    tls: ssl.SSLContext | None = None
+    """its certificate, where it speaks TLS"""
     sizes: tuple[tuple[int, int], ...] = (SIZE,)
     """frame size of each connection; the last one goes on"""
 
@@ -72,7 +78,7 @@ def rtsp(camera: Camera) -> Iterator[str]:
     """The address of an RTSP camera that lives as long as the block."""
     server = _Rtsp(camera)
     with _served(server):
-        yield f"rtsp://127.0.0.1:{server.server_address[1]}/stream"
+        yield f"rtsp{'s' if camera.tls else ''}://127.0.0.1:{server.server_address[1]}/stream"
 
 
 @contextmanager
@@ -97,6 +103,8 @@ class _Rtsp(socketserver.ThreadingTCPServer):
         self.connections = 0
         self.units = {size: h264(40, size) for size in set(camera.sizes)} if not camera.is_mute else {}
         super().__init__(("127.0.0.1", 0), _Session)
+        if camera.tls is not None:
+            self.socket = camera.tls.wrap_socket(self.socket, server_side=True, do_handshake_on_connect=False)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """A client that goes away is no news."""
@@ -118,6 +126,12 @@ class _Session(socketserver.StreamRequestHandler):
                 self._answer(headers, "200 OK", "Public: OPTIONS, DESCRIBE, SETUP, PLAY, TEARDOWN")
             elif method == "DESCRIBE":
                 self._answer(headers, "200 OK", "Content-Type: application/sdp", body=_SDP)
+            elif method == "SETUP" and camera.is_udp and "/TCP" in headers["transport"]:
+                self._answer(headers, "461 Unsupported transport")
+            elif method == "SETUP" and camera.is_udp:
+                self._ports = [int(each) for each in headers["transport"].partition("client_port=")[2].split("-")]
+                udp = f"Transport: RTP/AVP/UDP;unicast;client_port={self._ports[0]}-{self._ports[1]}"
+                self._answer(headers, "200 OK", udp, "Session: 1")
             elif method == "SETUP":
                 self._answer(headers, "200 OK", "Transport: RTP/AVP/TCP;unicast;interleaved=0-1", "Session: 1")
             elif method == "PLAY":
@@ -147,7 +161,7 @@ class _Session(socketserver.StreamRequestHandler):
         units = self.server.units[size]
         sequence, began = 0, time.monotonic()
         if camera.says_ntp is not None:
-            self._interleaved(1, _sender_report(camera.says_ntp))
+            self._packet(1, _sender_report(camera.says_ntp))
         for at in range(camera.frames):
             if at == camera.mute_after:
                 threading.Event().wait(60)
@@ -157,12 +171,17 @@ class _Session(socketserver.StreamRequestHandler):
                 is_last = i == len(payloads) - 1
                 stamp = round(at * 90_000 / camera.rate)
                 head = struct.pack(">BBHII", 0x80, 96 | (0x80 if is_last else 0), sequence & 0xFFFF, stamp, 7)
-                self._interleaved(0, head + payload)
+                self._packet(0, head + payload)
                 sequence += 1
             time.sleep(max(0.0, began + (at + 1) / camera.rate - time.monotonic()))
 
-    def _interleaved(self, channel: int, packet: bytes) -> None:
-        self.wfile.write(struct.pack(">cBH", b"$", channel, len(packet)) + packet)
+    def _packet(self, channel: int, packet: bytes) -> None:
+        """Send a packet of the pictures (channel 0) or of the times (1)."""
+        if not self.server.camera.is_udp:
+            self.wfile.write(struct.pack(">cBH", b"$", channel, len(packet)) + packet)
+            return
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+            sender.sendto(packet, ("127.0.0.1", self._ports[channel]))
 
 
 _SDP = """v=0

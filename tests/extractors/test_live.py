@@ -1,10 +1,12 @@
 """Live streams over every interruption, from cameras on this machine."""
 
+import ssl
 import time
 from contextlib import ExitStack
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from itertools import islice, pairwise
+from pathlib import Path
 
 import pytest
 
@@ -12,6 +14,7 @@ from extractors.addresses import Address, parsed
 from extractors.errors import DecoderStalled, StreamLost, VideoError, VideoUnreadable
 from extractors.live import Live, LiveLimits
 from extractors.media import Frame, Gap, GapReason
+from tests.certificates import self_signed
 from tests.extractors.streams import Camera, http, rtsp, unused_port
 
 QUICK = LiveLimits(connect_s=20, stall_s=1, retry_s_min=0.1, retry_s_max=0.4)
@@ -139,6 +142,26 @@ def test_a_camera_that_wants_a_login_gets_it() -> None:
 def test_a_redirection_to_a_file_is_refused() -> None:
     with http("redirect") as url, pytest.raises(VideoUnreadable, match="not a live stream"), Live(address(url), QUICK):
         pass
+
+
+def test_a_camera_that_sends_by_udp_only_is_read() -> None:
+    with rtsp(Camera(is_udp=True)) as url:
+        found, _ = seen(url, 10)
+    assert len(found) >= 9
+
+
+def test_a_certificate_is_checked_where_one_is_given(tmp_path: Path) -> None:
+    own = self_signed(tmp_path / "camera.pem", "127.0.0.1")
+    another = self_signed(tmp_path / "another.pem", "127.0.0.1")
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.load_cert_chain(own)
+    with rtsp(Camera(tls=context)) as url:
+        for ca_file in (None, own):
+            with Live(address(url), QUICK, ca_file=ca_file) as live:
+                assert live.info.width == 160
+        said = r"does .*another\.pem hold its certificate"
+        with pytest.raises(VideoUnreadable, match=said), Live(address(url), QUICK, ca_file=another):
+            pass
 
 
 def test_a_camera_that_is_not_there_is_named() -> None:

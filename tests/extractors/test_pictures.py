@@ -83,7 +83,7 @@ def test_a_picture_of_one_level_has_a_window_too(tmp_path: Path) -> None:
 
 
 def test_a_picture_of_8k_is_read_and_can_be_made_smaller(tmp_path: Path) -> None:
-    path = film_of(tmp_path / "film.mkv", [np.full((4320, 7680), 90, np.uint8)], "gray")
+    path = film_of(tmp_path / "film.nut", [np.full((4320, 7680), 90, np.uint8)], "gray", codec="rawvideo")
     (frame,), _ = split(path, Shape(height_max=540))
     assert frame.image.shape == (540, 960, 3)
     assert frame.scale == 8

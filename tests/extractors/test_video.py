@@ -13,7 +13,7 @@ import av
 import numpy as np
 import pytest
 
-from extractors.errors import DecoderDied, DecoderStalled, VideoError, VideoHasNoFrames, VideoUnreadable
+from extractors.errors import DecoderDied, DecoderStalled, VideoHasNoFrames, VideoUnreadable
 from extractors.media import Frame, Gap, GapReason
 from extractors.video import DecodeLimits, frames, probe
 from tests.extractors.films import film, film_of_two_sizes, first_half, picture, with_noise
@@ -224,7 +224,7 @@ def test_a_video_without_frames_is_an_error(tmp_path: Path) -> None:
 
 def test_a_picture_larger_than_the_limit_is_not_decoded(tmp_path: Path) -> None:
     path = film(tmp_path / "film.mp4")
-    with pytest.raises(VideoError, match=r"film\.mp4"):
+    with pytest.raises(VideoUnreadable, match=r"film\.mp4: pictures of 160x120 px are too large, at most 10,000 px"):
         list(frames(path, DecodeLimits(pixels_max=100 * 100)))
 
 

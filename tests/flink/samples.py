@@ -20,9 +20,12 @@ _STEPS_US = [0, 0, 1, 333, 999, 1_000, 40_000, 40_000, 33_333, 500_000, 1_000_00
 
 
 def site_of(rule: Rule) -> Site:
-    """A site in which each source that the rule has a normalised place in has a frame size."""
+    """A site in which each source that the rule has a normalised place in has a frame size, and metres if it asks."""
     shapes = (*rule.zones.values(), *rule.lines.values())
-    return Site.of({shape.source: FRAME for shape in shapes if shape.units == "normalised"})
+    sources = {shape.source for shape in shapes if shape.units == "normalised"}
+    calibration = Calibration(((0.1, 0.0, 0.0), (0.0, -0.1, 100.0), (0.0, 0.0, 1.0)), FRAME)
+    is_asking = any(word in rule.match for word in ("ground_", "speed_kmh", "distance_m"))
+    return Site.of(dict.fromkeys(sources, FRAME), calibrations=dict.fromkeys(sources, calibration) if is_asking else {})
 
 
 def random_rows(rule: Rule, schemas: dict[str, pa.Schema], site: Site, seed: int, count: int) -> pa.Table:

@@ -9,7 +9,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from events import EventType, VideoAdded, ZoneDefined, ZoneRemoved
+from events import EventType, SceneChanged, VideoAdded, ZoneDefined, ZoneRemoved
 from patterns import Match, RuleError, RuleRun, RuleSetRun, Zone, bind, match, parse_rule
 from patterns.errors import MatchError
 from patterns.scene.geometry import Line
@@ -281,3 +281,28 @@ def test_a_site_is_saved_whole() -> None:
     known.learn(ZoneRemoved(time=BEGINNING, zone="yard", zone_version=1, author=None, reason=None), "s/cam-02/x", 1, 9)
     assert Site.from_json(json.loads(json.dumps(known.to_json()))) == known
     assert known.frame_sizes["cam-09"] == (64, 48)
+
+
+def test_metres_end_where_the_camera_is_moved_and_begin_with_its_next_calibration() -> None:
+    run = run_of("speed_kmh > 3", "0 s")
+    calibrated = camera_calibrated(homography=json.dumps([[0.1, 0, 0], [0, 0.1, 0], [0, 0, 1]]))
+    changes: list[tuple[EventType | None, str]] = [
+        (None, ""),
+        (calibrated, "camera_calibrated"),
+        (scene_changed(cause="unknown"), "scene_changed"),
+        (scene_changed(cause="moved"), "scene_changed"),
+        (calibrated, "camera_calibrated"),
+    ]
+    found: list[Match] = []
+    for second, (event, name) in enumerate(changes):
+        if event is not None:
+            run.learn(event, f"s/cam-01/{name}", second)
+        found += run.push(rows([(5.0, 5.0)], first_s=second)).matches
+    found += run.finish().matches
+    # A row is judged when the next one comes, by what was said before that.
+    assert [each.first.sequence for each in found] == [1, 2, 4, 5]
+    assert [each.judged_by["calibration"][0].first_sequence for each in found] == [1, 1, 4, 4]
+
+
+def scene_changed(**changed: Any) -> SceneChanged:
+    return SceneChanged(**({"time": BEGINNING, "changed_share": 1.0, "dx": None, "dy": None} | changed))

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from events import PlateRead, StreamName, batch_of, encode
+from events import PlateRead, SceneChanged, StreamName, VideoAdded, batch_of, encode
 from patterns import parse_rule
 from patterns.engine.ruleset import RuleSetRun
 from patterns.engine.situations import Narrator
@@ -27,6 +27,7 @@ from patterns.processor import (
     stored_state,
 )
 from patterns.processor.members import Pace
+from patterns.processor.passes import site_at
 from store import Checkpoint, Log, LogUnavailable, Transaction
 from tests.conftest import MakeLog
 from tests.events.examples import camera_calibrated
@@ -532,6 +533,27 @@ def test_a_source_that_is_not_calibrated_is_left_out_and_named_until_it_is(
     assert len(situations(log)) == 24
     (report,) = reports(log, STATION)
     assert report.uncalibrated == {}
+
+
+def test_a_calibration_that_was_found_while_footage_came_does_not_hold_before_its_turn(log: Log) -> None:
+    video = VideoAdded(
+        time=T0, video="00", path="v", width=100, height=100, fps=5.0, frames_expected=None, codec="h264", started_at=T0
+    )
+    of_tracks = camera_calibrated(method="tracks", covariance="[]", time=T0 + timedelta(seconds=9))
+    moved = SceneChanged(time=T0, cause="moved", changed_share=1.0, dx=None, dy=None)
+    for source, event in [
+        ("online", of_tracks),
+        ("afterwards", of_tracks.model_copy(update={"time": T0})),
+        ("by-hand", camera_calibrated(time=T0 + timedelta(hours=1))),
+        ("moved", moved),
+        ("moved", camera_calibrated(time=T0)),
+    ]:
+        say(log, source, video)
+        say(log, source, event)
+    before = {stream.split("/")[1] for event, stream, _ in site_at(log, 0) if not isinstance(event, VideoAdded)}
+    assert before == {"afterwards", "by-hand"}
+    behind = [stream.split("/")[1] for _, stream, _ in site_at(log, log.head()) if "video" not in stream]
+    assert behind == ["online", "afterwards", "by-hand", "moved", "moved"]
 
 
 def _breaks_for(name: str, original: Any) -> Any:

@@ -9,10 +9,10 @@ from patterns import RuleError, check, load_rule, load_rules, parse_rule, run_te
 from tests.patterns.samples import SCHEMAS
 
 FOLDER = Path(patterns.__file__).parent / "rules"
-NAMES = ["line-crossing", "loitering", "zone-intrusion"]
+NAMES = ["line-crossing", "loitering", "speeding", "zone-intrusion"]
 
 
-def test_the_three_of_the_demo_are_there() -> None:
+def test_those_of_the_demo_are_there() -> None:
     assert [rule.rule for rule in load_rules(FOLDER)] == NAMES
 
 

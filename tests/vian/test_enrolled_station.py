@@ -4,17 +4,11 @@ import json
 import ssl
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
-from datetime import UTC, datetime, timedelta
-from ipaddress import ip_address
+from datetime import timedelta
 from pathlib import Path
 
 import httpx
 import pytest
-from cryptography import x509
-from cryptography.hazmat.primitives.asymmetric import ec
-from cryptography.hazmat.primitives.hashes import SHA256
-from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
-from cryptography.x509.oid import NameOID
 from fastapi import FastAPI
 from fastapi.responses import HTMLResponse
 
@@ -23,6 +17,7 @@ from store import Log
 from sync.central.refusals import Refusals
 from sync.protocol.enrolment import new_secret
 from sync.protocol.wire import Problem
+from tests.certificates import self_signed
 from tests.conftest import MakeLog
 from tests.vian.conftest import Ran, Run
 from tests.vian.samples import append, heads, points
@@ -211,24 +206,7 @@ def test_an_operators_certificate_that_does_not_hold_is_told(
 
 def operators_certificate(address: str, days: tuple[int, int]) -> Certificate:
     """A certificate as an operator's authority makes them, for an address and a time from now on."""
-    key, name = ec.generate_private_key(ec.SECP256R1()), x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "x")])
-    begin, end = (datetime.now(UTC) + timedelta(days=each) for each in days)
-    certificate = (
-        x509.CertificateBuilder()
-        .subject_name(name)
-        .issuer_name(name)
-        .public_key(key.public_key())
-        .serial_number(1)
-        .not_valid_before(begin)
-        .not_valid_after(end)
-        .add_extension(x509.SubjectAlternativeName([x509.IPAddress(ip_address(address))]), critical=False)
-        .add_extension(x509.BasicConstraints(ca=True, path_length=None), critical=True)
-        .sign(key, SHA256())
-    )
-    path = Path("operators.pem")
-    path.write_bytes(
-        certificate.public_bytes(Encoding.PEM) + key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
-    )
+    path = self_signed(Path("operators.pem"), address, days)
     return Certificate(path, path, is_own=False)
 
 

@@ -14,24 +14,33 @@ import psycopg
 import pytest
 
 from events import (
+    CameraCalibrated,
     EventType,
     InvalidName,
     ProcessFailed,
     ProcessFinished,
     ProcessProgressed,
     ProcessStarted,
+    Producer,
+    StreamName,
     VideoAdded,
+    batch_of,
     decode,
+    encode,
     events_of,
 )
 from extractors import video
+from extractors.calibration import CalibrationConfig
 from extractors.errors import DecoderDied, MaskUnreadable, VideoUnreadable
+from extractors.horizon import HorizonConfig
 from extractors.media import Frame, Gap, GapReason, Shape
 from store import Log, LogUnavailable
 from tests.conftest import Server
+from tests.events.examples import camera_calibrated
 from tests.vian.clips import Walk, write_clip
 from tests.vian.samples import START, heads, reopened
 from vian import extraction
+from vian.camera_folds import CameraConfig
 from vian.errors import WorldFailed, WrongUsage
 from vian.extraction import Job, extract_motion, media_clock
 
@@ -159,6 +168,69 @@ def test_a_stop_between_any_two_appends_is_made_good(
     assert calls >= call, "the clip has so many appends"
     extract_motion(job(log, clip))
     assert heads(log) == undisturbed
+
+
+GUESSING = CameraConfig(
+    horizon=None,
+    calibration=CalibrationConfig(
+        camera=HorizonConfig(
+            update_s=0.5,
+            tracks_min=1,
+            vote_places_min=3,
+            vote_significance=0.01,
+            noise_max=100,
+            deviation_share_max=1e9,
+            roll_spread_deg=60,
+            roll_learnt_min=0,
+        ),
+        aspect_min=0.01,
+        aspect_max=100,
+        focal_error_max=100,
+        height_error_max=100,
+    ),
+)
+"""Says a calibration wherever two have walked, right or wrong: here it is about when it is said, and how often."""
+
+
+@pytest.fixture(scope="module")
+def four_walk(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    lanes = [(0.5, 110, 28), (1.0, 150, 40), (1.5, 190, 52), (2.0, 230, 64)]
+    crossing = [Walk(at, at + 3.5, (20, y), (300, y), (size // 2, size)) for at, y, size in lanes]
+    return write_clip(tmp_path_factory.mktemp("clips") / "four.mp4", crossing)
+
+
+def test_the_camera_is_calibrated_while_its_tracks_are_made_and_a_stop_is_made_good(log: Log, four_walk: Path) -> None:
+    asked = job(log, four_walk, camera=GUESSING)
+    stops = 0
+    for call in (3, 4, 5, 6):
+        try:
+            extract_motion(replace(asked, on_progress=stop_at(call)))
+        except Stopped:
+            stops += 1
+    assert stops
+    done = extract_motion(asked)
+    found = said(log, CameraCalibrated)
+    assert found
+    assert len({event.model_dump_json() for event in found}) == len(found)
+    assert {event.method for event in found} == {"tracks"}
+    again = extract_motion(job(log, four_walk, camera=GUESSING, source="yard"))
+    assert said(log, CameraCalibrated, "yard") == found
+    assert (done.events, done.frames) == (again.events, again.frames)
+    extract_motion(job(log, four_walk, camera=replace(GUESSING, calibration=None), source="door"))
+    assert not said(log, CameraCalibrated, "door")
+
+
+def test_what_people_say_of_a_camera_while_it_is_extracted_stands(log: Log, four_walk: Path) -> None:
+    def calibrate(_done: int, _expected: int | None) -> None:
+        if not said(log, CameraCalibrated):
+            stream = StreamName.of("brno", "gate", "camera_calibrated")
+            log.append([encode(stream, batch_of([by_hand]), Producer("tests", "1", bytes(32)))], [0])
+
+    by_hand = camera_calibrated(time=START)
+    extract_motion(job(log, four_walk, camera=GUESSING, on_progress=calibrate))
+    assert said(log, CameraCalibrated) == [by_hand]
+    extract_motion(job(log, four_walk, camera=GUESSING, run=2))
+    assert said(log, CameraCalibrated) == [by_hand]
 
 
 def test_a_second_run_does_nothing(log: Log, clip: Path) -> None:

@@ -28,6 +28,7 @@ from events import (
 )
 from extractors.horizon import FrameSize, HorizonConfig, Line
 from store import Appender, Log
+from store.epochs import begin_epoch
 from tests.extractors.horizon.larger import error_of
 from tests.extractors.horizon.scenes import Camera, Scene, random_walks, scene
 from tests.vian.samples import START, heads
@@ -119,6 +120,29 @@ def test_the_same_again_does_nothing_and_more_points_do(log: Log, walked: Scene)
 @pytest.mark.parametrize("call", range(3))
 def test_a_stop_anywhere_is_made_good(log: Log, walked: Scene, call: int, monkeypatch: pytest.MonkeyPatch) -> None:
     fill(log, walked)
+    stop_at(call, log, monkeypatch)
+    append(log, points_of(walked, after=timedelta(hours=1))[0])  # comes too late for this process
+    extract_horizon(job(log))
+    check_said_once(log)
+
+
+def test_a_process_goes_on_in_a_new_life_of_the_log(log: Log, walked: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    fill(log, walked)
+    stop_at(2, log, monkeypatch)
+    votes = len(said(log, HorizonVote))
+    assert votes > 0
+    log.close()
+    begin_epoch(log.dsn, 2)
+    with Log(log.dsn, log.catalogue) as after:
+        extract_horizon(job(after))
+        assert len(said(after, HorizonVote)) > votes
+        check_said_once(after)
+        extract_horizon(job(after))
+        check_said_once(after)
+
+
+def stop_at(call: int, log: Log, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Extract, and stop at one of the appends."""
     calls = 0
     append_really = Appender.append
 
@@ -133,8 +157,9 @@ def test_a_stop_anywhere_is_made_good(log: Log, walked: Scene, call: int, monkey
         patched.setattr(Appender, "append", append_or_stop)
         with pytest.raises(Stopped):
             extract_horizon(job(log))
-    append(log, points_of(walked, after=timedelta(hours=1))[0])  # comes too late for this process
-    extract_horizon(job(log))
+
+
+def check_said_once(log: Log) -> None:
     (finished,) = said(log, ProcessFinished)
     assert finished.events == len(said(log, HorizonVote)) + len(said(log, HorizonEstimate))
     assert len({(vote.track_id, vote.time) for vote in said(log, HorizonVote)}) == len(said(log, HorizonVote))

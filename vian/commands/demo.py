@@ -12,7 +12,7 @@ from extractors import video as video_files
 from store import open_log
 from store.schema import safe_dsn
 from vian import options
-from vian.demo.clip import Origin, choose
+from vian.demo.clip import Origin, choose, square_clip
 from vian.demo.run import ANSWER_SQL, CENTRAL_DIR, Summary, run_demo, summary_rows
 from vian.errors import WorldFailed
 from vian.options import open_from, settings_for
@@ -39,7 +39,7 @@ def demo(
     dsn: options.Dsn = None,
     as_json: options.Json = False,
 ) -> None:
-    """Turn a video into events, situations, an answer in SQL, a second log, and a report."""
+    """Turn videos into events, situations, an answer in SQL, a second log, and a report."""
     settings = settings_for(data_dir, dsn)
     output = Output(is_json=as_json)
     _check_writable(report)
@@ -47,10 +47,11 @@ def demo(
     output.note(f"clip: {clip.path}" + (f"\n{clip.attribution}" if clip.attribution else ""))
     if clip.origin is Origin.GIVEN:
         video_files.probe(clip.path)  # what is no video is told before two servers are started
+    clips = [clip] if clip.origin is Origin.GIVEN else [clip, square_clip()]
     summary = run_demo(
         lambda: open_from(settings, data_dir=data_dir),
         lambda: open_log(data_dir=settings.data_dir / CENTRAL_DIR),
-        clip,
+        clips,
         report,
         output,
     )
@@ -79,9 +80,9 @@ def _print(summary: Summary, output: Output, place: str) -> None:
     if output.is_json:
         output.result(
             {
-                "clip": str(summary.clip.path),
-                "origin": summary.clip.origin,
-                "frames": summary.extraction.frames,
+                "clip": str(summary.clips[0].path),
+                "origin": summary.clips[0].origin,
+                "frames": summary.frames,
                 "events": summary.events,
                 "bytes_per_event": round(summary.bytes_per_event, 2),
                 "situations": {row["rule"]: row["situations"] for row in summary.situations.to_pylist()},
@@ -93,6 +94,8 @@ def _print(summary: Summary, output: Output, place: str) -> None:
         )
         return
     output.table(f"ViAn demo, {summary.seconds:.1f} s", ("what", "value"), summary_rows(summary))
+    for title in summary.in_metres:
+        output.line(f"in metres: {title}")
     output.line(f"report: {summary.report.resolve()}")
     program = _program()
     output.line(f'next:   {program} query{place} "{ANSWER_SQL}"')

@@ -50,9 +50,13 @@ def horizon(
     """Estimate horizons and measure them: largest vertical distance within the image, over the image's height."""
     from vian.evaluation.estimators import estimators
     from vian.evaluation.judging import judged, summaries
-    from vian.evaluation.plots import plot_errors
+    from vian.evaluation.plots import check_plot, plot_errors
 
-    chosen = estimators(methods)
+    if plot is not None:
+        check_plot(plot)
+    if overlays is not None:
+        _make(overlays)
+    chosen = estimators(methods, is_of_blobs=not path.is_dir())
     scenes = _scenes(path, truth)
     found = list(judged(scenes, chosen))
     output = Output(is_json=as_json)
@@ -205,13 +209,16 @@ def _rounded(values: tuple[object, ...]) -> tuple[object, ...]:
     return tuple(round(each, 4) if isinstance(each, float) else each for each in values)
 
 
-def _draw(found: "list[Judged]", folder: Path) -> None:
-    from vian.evaluation.overlays import Overlay, drawn, write_image
-
+def _make(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise WorldFailed(f"{folder}: cannot be made: {error.strerror}. Next: give another folder") from error
+
+
+def _draw(found: "list[Judged]", folder: Path) -> None:
+    from vian.evaluation.overlays import Overlay, drawn, write_image
+
     for scene in {id(each.scene): each.scene for each in found}.values():
         estimates = [(each.method, each.estimate) for each in found if each.scene is scene]
         overlay = Overlay(

@@ -10,6 +10,7 @@ from typing import Annotated
 import typer
 
 from extractors.addresses import Address, parsed
+from extractors.calibration import CalibrationConfig, Scale
 from extractors.horizon import HorizonConfig
 from extractors.live import LiveLimits
 from extractors.media import Shape
@@ -17,12 +18,13 @@ from extractors.motion import Detector, MotionConfig, read_ignored_area
 from extractors.motion.onnx import OnnxDetector
 from store import Projector
 from vian import options
+from vian.camera_folds import CameraConfig
 from vian.commands import extract_calibration
 from vian.errors import WrongUsage
 from vian.extraction import Extraction, Job, extract_motion
 from vian.horizon_extraction import HorizonExtraction, HorizonJob, extract_horizon
 from vian.options import has_zone, opened, settings_for, time_of
-from vian.output import Output
+from vian.output import Output, counted
 from vian.settings import Settings
 
 app = typer.Typer(help="Run an extractor on a video or on tracks; its events go into the log.", no_args_is_help=True)
@@ -61,6 +63,12 @@ def motion(
     is_without_horizon: Annotated[
         bool, typer.Option("--no-horizon", help="Do not look for the horizon meanwhile.")
     ] = False,
+    is_without_calibration: Annotated[
+        bool, typer.Option("--no-calibration", help="Do not calibrate the camera meanwhile.")
+    ] = False,
+    camera_height_m: extract_calibration.CameraHeightM = None,
+    length: extract_calibration.Length = None,
+    person_height_m: extract_calibration.PersonHeightM = None,
     fps: Annotated[
         float | None,
         typer.Option(
@@ -83,10 +91,15 @@ def motion(
     station: options.Station = None,
     as_json: options.Json = False,
 ) -> None:
-    """Detect and track what moves in a video or live stream: track points, ended tracks, intervals, the horizon."""
+    """Detect and track what moves in a video or live stream: its tracks, the camera's horizon and calibration."""
     settings = settings_for(data_dir, dsn, station=station)
     output = Output(is_json=as_json)
     config, model = detection(detector, classes)
+    camera = _camera(
+        is_without_horizon,
+        is_without_calibration,
+        extract_calibration.scale_of(camera_height_m, length, person_height_m, CalibrationConfig()),
+    )
     started_at = time_of("--start", start)
     if start is not None and started_at is not None and not has_zone(start):
         output.note(f"--start names no time zone: taken as UTC, {started_at.isoformat()}")
@@ -107,10 +120,11 @@ def motion(
                 started_at=started_at,
                 config=config,
                 detector=model,
-                horizon=None if is_without_horizon else HorizonConfig.of_blobs(),
+                camera=camera,
                 shape=shape,
                 ignored=ignored,
                 live=_live_limits(settings),
+                ca_file=_ca_file(settings),
                 run=again,
                 database_wait_s=settings.database_wait_s,
                 on_progress=show,
@@ -202,6 +216,15 @@ def _place(video: str, login_file: Path | None) -> Path | Address:
     return place.with_login(login)
 
 
+def _camera(is_without_horizon: bool, is_without_calibration: bool, scale: Scale) -> CameraConfig:
+    """What is to be found of the camera."""
+    return CameraConfig(
+        horizon=None if is_without_horizon else HorizonConfig.of_blobs(),
+        calibration=None if is_without_calibration else CalibrationConfig(),
+        scale=scale,
+    )
+
+
 def _shape(fps: float | None, resize: str | None) -> Shape:
     """Which pictures are wanted."""
     if fps is not None and not 0 < fps <= 1000:
@@ -223,6 +246,17 @@ def _live_limits(settings: Settings) -> LiveLimits:
         give_up_s=settings.live_give_up_h * 3600,
         queue_frames=settings.live_queue_frames,
     )
+
+
+def _ca_file(settings: Settings) -> Path | None:
+    """The certificates that count for cameras, as an absolute path that can be read."""
+    if settings.live_ca_file is None:
+        return None
+    try:
+        settings.live_ca_file.read_bytes()
+    except OSError as error:
+        raise WrongUsage(f"live_ca_file {settings.live_ca_file} cannot be read: {error.strerror}") from error
+    return settings.live_ca_file.absolute()
 
 
 def _stop_on_signals() -> threading.Event:
@@ -248,8 +282,8 @@ def report(output: Output, extraction: Extraction) -> None:
         "was_done": extraction.was_done,
     }
     text = (
-        f"process {extraction.process}: {extraction.frames} frames, {extraction.events} events found besides the "
-        f"process's own, {extraction.gaps} gaps"
+        f"process {extraction.process}: {counted(extraction.frames, 'frame')}, {counted(extraction.events, 'event')} "
+        f"found besides the process's own, {counted(extraction.gaps, 'gap')}"
     )
     if not extraction.events:
         text += ": nothing moved that was large and steady enough"

@@ -13,24 +13,29 @@ from vian.errors import WrongUsage
 from vian.options import opened, settings_for
 from vian.output import Output
 
-EXAMPLE = "Example: vian extract calibration --source gate --height-m 6.5"
+EXAMPLE = "Example: vian extract calibration --source gate --camera-height-m 6.5"
 HEIGHT_DEVIATION_SHARE = 0.02
 """Standard deviation of a height that somebody gives: measured with a tape or read off a plan."""
 
 
+CameraHeightM = Annotated[
+    float | None, typer.Option("--camera-height-m", help="Height of the camera above the ground, m, known within 2 %.")
+]
+Length = Annotated[
+    str | None,
+    typer.Option("--length", help="Two points of the ground, px, and their distance, m: X1,Y1,X2,Y2,METRES."),
+]
+PersonHeightM = Annotated[
+    float | None,
+    typer.Option("--person-height-m", help="Mean height of the people who pass, m.", show_default="1.70"),
+]
+
+
 def calibration(
     source: Annotated[str, typer.Option("--source", help="Name of the camera.")],
-    height_m: Annotated[
-        float | None, typer.Option("--height-m", help="Height of the camera above the ground, m, known within 2 %.")
-    ] = None,
-    length: Annotated[
-        str | None,
-        typer.Option("--length", help="Two points of the ground, px, and their distance, m: X1,Y1,X2,Y2,METRES."),
-    ] = None,
-    person_height_m: Annotated[
-        float | None,
-        typer.Option("--person-height-m", help="Mean height of the people who pass, m.", show_default="1.70"),
-    ] = None,
+    camera_height_m: CameraHeightM = None,
+    length: Length = None,
+    person_height_m: PersonHeightM = None,
     data_dir: options.DataDir = None,
     dsn: options.Dsn = None,
     station: options.Station = None,
@@ -38,7 +43,7 @@ def calibration(
 ) -> None:
     """Calibrate a camera from the upright people among its tracks: from then on rules have metres."""
     config = CalibrationConfig()
-    scale = scale_of(height_m, length, person_height_m, config)
+    scale = scale_of(camera_height_m, length, person_height_m, config)
     settings = settings_for(data_dir, dsn, station=station)
     with opened(settings, data_dir=data_dir) as log:
         done = calibrate_from_tracks(log, settings.station, source, config, scale)
@@ -47,20 +52,20 @@ def calibration(
 
 
 def scale_of(
-    height_m: float | None, length: str | None, person_height_m: float | None, config: CalibrationConfig
+    camera_height_m: float | None, length: str | None, person_height_m: float | None, config: CalibrationConfig
 ) -> Scale:
     """Where metres come from, as the options say.
 
     Raises:
         WrongUsage: There are several, or one is not right.
     """
-    if sum(each is not None for each in (height_m, length, person_height_m)) > 1:
-        raise WrongUsage("give one of --height-m, --length and --person-height-m: metres come from one of them")
-    for option, value in (("--height-m", height_m), ("--person-height-m", person_height_m)):
+    if sum(each is not None for each in (camera_height_m, length, person_height_m)) > 1:
+        raise WrongUsage("give one of --camera-height-m, --length and --person-height-m: metres come from one of them")
+    for option, value in (("--camera-height-m", camera_height_m), ("--person-height-m", person_height_m)):
         if value is not None and not (math.isfinite(value) and value > 0):
             raise WrongUsage(f"{option} must be a length above 0, got {value:g}")
-    if height_m is not None:
-        return CameraHeight(height_m, HEIGHT_DEVIATION_SHARE * height_m)
+    if camera_height_m is not None:
+        return CameraHeight(camera_height_m, HEIGHT_DEVIATION_SHARE * camera_height_m)
     if length is not None:
         return _length(length)
     return PersonHeight(person_height_m or config.person_height_m, config.person_spread_m)

@@ -33,7 +33,7 @@ from vian.errors import WorldFailed, WrongUsage
 from vian.options import opened, settings_for
 from vian.output import Output, counted
 from vian.parts import Parts, stepping
-from vian.rules import check_fit, deploy_all, files_of, limits_of, load_all, misplaced, readable_rules
+from vian.rules import check_fit, deploy_all, doubts, files_of, limits_of, load_all, readable_rules
 
 app = typer.Typer(help="Write rules, try them on what the log holds, and run them.", no_args_is_help=True)
 
@@ -118,7 +118,7 @@ def run(
     rules = load_all(paths)
     with compiling_beside(), opened(settings, data_dir=data_dir, is_made=True) as log:
         check_fit(log, rules)
-        for remark in misplaced(log, rules):
+        for remark in doubts(log, rules):
             output.note(f"warning: {remark}")
         for rule in deploy_all(log, settings.station, rules):
             output.note(f"deployed {rule.rule} version {rule.version}")

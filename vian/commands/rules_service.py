@@ -13,7 +13,7 @@ from vian.clock import utc_now
 from vian.errors import WrongUsage
 from vian.options import opened, settings_for, time_of
 from vian.output import Output
-from vian.rules import check_fit, deploy_all, load_all, misplaced
+from vian.rules import check_fit, deploy_all, doubts, load_all
 
 _COLUMNS = (
     "rule",
@@ -86,7 +86,7 @@ def deploy_rules(
     rules = load_all(paths)
     with opened(settings, data_dir=data_dir, is_made=True) as log:
         check_fit(log, rules)
-        for remark in misplaced(log, rules):
+        for remark in doubts(log, rules):
             output.note(f"warning: {remark}")
         deployed = deploy_all(
             log,
@@ -150,7 +150,10 @@ def status(
         for source, events in each.uncalibrated.items():
             output.line(f"{each.service.rule} version {each.service.version} found no metres in {events} events of "
                         f"{source}, which is not calibrated")  # fmt: skip
-            output.note(f"Next: vian zones calibrate {source} POINTS.yaml, or leave the source out in the rule's FROM")
+            output.note(
+                f"Next: vian extract calibration --source {source} says what is missing; vian zones calibrate {source} "
+                "POINTS.yaml, or leave the source out in the rule's FROM"
+            )
         gone = each.service.retirement
         if gone is not None and each.state in ("failed", "too_slow"):
             output.line(f"{each.service.rule} version {each.service.version} was set aside {gone.reason}")

@@ -1,7 +1,8 @@
 """Which video the demo shows.
 
 In this order: a file that the user names; the sample folder (`VIAN_DATA`); a pinned download that
-is checked against its SHA-256; and, offline, a street scene that the demo renders itself.
+is checked against its SHA-256; and, offline, a street scene that the demo renders itself. Beside all but a
+user's own comes a rendered square: many people cross it, so its camera can be calibrated, and its truth is known.
 """
 
 import logging
@@ -15,9 +16,8 @@ from pathlib import Path
 import platformdirs
 import pooch
 
-from extractors.scene import street, write
+from extractors.scene import PICTURES, Scene, square, street, write
 from vian.errors import WorldFailed, WrongUsage
-from vian.version import VERSION
 
 NAME = "one-by-one-person-detection.mp4"
 SHA256 = "a5964aa259099a482a8b360ffc2c57b5a30f84d5919236a4dad01f8e929ac07c"
@@ -26,6 +26,8 @@ ATTRIBUTION = (
     "Clip: one-by-one-person-detection.mp4 of intel-iot-devkit/sample-videos (commit 579788908228), "
     "Intel Corporation, CC BY 4.0"
 )
+SQUARE = square(people=16, apart_s=2.5)
+"""What the demo shows of metres: who runs comes when enough have walked for the camera to be calibrated."""
 _IN_SAMPLES = Path("video/intel_one_by_one_person") / NAME
 _DOWNLOAD_SECONDS_MAX = 60
 
@@ -37,6 +39,7 @@ class Origin(StrEnum):
     SAMPLES = "samples"
     DOWNLOAD = "download"
     RENDERED = "rendered"
+    SQUARE = "square"
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,9 +92,22 @@ def choose(
     return _street()
 
 
+def square_clip() -> Clip:
+    """The rendered square.
+
+    Raises:
+        WorldFailed: There is no place for it.
+    """
+    return _scene("square", SQUARE, Origin.SQUARE)
+
+
 def _street() -> Clip:
+    return _scene("street", street(), Origin.RENDERED)
+
+
+def _scene(name: str, scene: Scene, origin: Origin) -> Clip:
     try:
-        return Clip(_rendered(), Origin.RENDERED, "Clip: a street scene rendered by ViAn itself")
+        return Clip(_rendered(name, scene), origin, f"Clip: a {name} rendered by ViAn itself")
     except OSError as error:
         raise WorldFailed(f"no clip can be kept in {_cache()}: {error}. Next: give one with --video FILE") from error
 
@@ -114,14 +130,14 @@ def _downloaded(url: str) -> Path:
     )
 
 
-def _rendered() -> Path:
-    """The street scene, from the cache if it is there whole."""
-    path = _cache() / f"street-{VERSION}.mp4"
+def _rendered(name: str, scene: Scene) -> Path:
+    """The scene, from the cache if it is there whole."""
+    path = _cache() / f"{name}-{PICTURES}.mp4"
     if not path.exists():
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=path.parent) as folder:
             unfinished = Path(folder) / path.name
-            write(street(), unfinished)
+            write(scene, unfinished)
             unfinished.replace(path)
     return path
 

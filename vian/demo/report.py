@@ -1,8 +1,8 @@
 """The demo's report: one self-contained HTML page that opens offline.
 
-Tracks over a frame, the rules' zones and lines, a timeline of situations, and for each situation a
-picture with the object's box. Everything is read from the log; only the pictures come from the
-video.
+For each camera: tracks over a frame, the horizon that they showed, the rules' zones and lines, a timeline of
+situations, and for each situation a picture with the object's box. Everything is read from the log; only the
+pictures come from the video.
 """
 
 import base64
@@ -25,6 +25,7 @@ from extractors.media import Frame
 from extractors.video import frames
 from patterns.files.rule import Rule
 from store import Log
+from vian.demo.cameras import CameraFound
 from vian.errors import WorldFailed
 from vian.querying import query
 
@@ -36,6 +37,8 @@ THUMBNAILS_MAX = 48
 """Situations that get a picture; more are listed without one."""
 BRIEF_SECONDS = 3.0
 """Tracks shorter than this are drawn faintly."""
+BEYOND_MAX = 1.0
+"""How far above the frame a horizon is drawn at most, frame heights."""
 _THUMBNAIL_HEIGHT_PX = 220
 _JPEG_QUALITY = 82
 _GOLDEN_ANGLE = 0.381966
@@ -99,13 +102,34 @@ class Situation:
 
 
 @dataclass(frozen=True, slots=True)
+class View:
+    """One camera that the report shows."""
+
+    video: Path
+    attribution: str | None
+    camera: CameraFound
+    rules: Sequence[Rule]
+
+
+@dataclass(frozen=True, slots=True)
+class Drawn:
+    """The horizon as the report draws it, in pixels."""
+
+    line: str
+    """SVG polyline"""
+    band: str
+    """SVG polygon: its 95 % interval"""
+    true: str | None
+    """SVG polyline, of a rendered scene"""
+    top: float
+    """where the drawing begins, at most 0: a horizon may lie above the frame"""
+
+
+@dataclass(frozen=True, slots=True)
 class Facts:
     """What the report tells beside its pictures."""
 
     summary: Sequence[tuple[str, str]]
-    attribution: str | None
-    video: str
-    source: str
     station: str
     answer_sql: str
     answer: Sequence[Sequence[Any]]
@@ -120,13 +144,27 @@ class _Deciding:
     box_xyxy: tuple[float, float, float, float]
 
 
-def write_report(log: Log, video: Path, rules: Sequence[Rule], facts: Facts, file: Path) -> None:
-    """Write the report of the log's source `facts.source` to the file.
+def write_report(log: Log, views: Sequence[View], facts: Facts, file: Path) -> None:
+    """Write the report of these cameras to the file.
 
     Raises:
         WorldFailed: The file cannot be written.
     """
-    place = f"station = '{facts.station}' and source = '{facts.source}'"
+    page = _template().render(
+        facts=facts, brief=f"{BRIEF_SECONDS:g}", scenes=[_scene(log, facts.station, view) for view in views]
+    )
+    try:
+        file.write_text(page, encoding="utf-8")
+    except OSError as error:
+        raise WorldFailed(
+            f"the report cannot be written to {file}: {error.strerror}; all else is done. "
+            "Next: the same command with another --report FILE"
+        ) from error
+
+
+def _scene(log: Log, station: str, view: View) -> dict[str, Any]:
+    """What the template shows of one camera."""
+    place = f"station = '{station}' and source = '{view.camera.source}'"
     added = query(log, f"select * from video_added where {place} order by sequence desc limit 1").to_pylist()[0]
     size = (added["width"], added["height"])
     start: datetime = added["started_at"]
@@ -141,31 +179,38 @@ def write_report(log: Log, video: Path, rules: Sequence[Rule], facts: Facts, fil
     deciding = [_deciding(row, by_sequence) for row in found]
     quiet = _quiet_frame({point["frame"] for point in points})
     wanted = {d.frame for d in deciding[:THUMBNAILS_MAX] if d} | {quiet}
-    pictures = {frame.index: frame.image for frame in _frames(video, wanted)}
-    page = _template().render(
-        facts=facts,
-        size=size,
-        unit=11 * max(size[0] / 1140, size[1] / 720),  # 11 px where the picture is shown in at most 1140 x 720
-        span_s=span_s,
-        background=_data_uri(pictures.get(quiet)),
-        quiet=quiet,
-        brief=f"{BRIEF_SECONDS:g}",
-        tracks=_tracks(points, start, span_s),
-        shapes=_shapes(rules, size),
-        ticks=_ticks(span_s),
-        rules=rules,
-        situations=[
+    pictures = {frame.index: frame.image for frame in _frames(view.video, wanted)}
+    return {
+        "view": view,
+        "size": size,
+        "unit": 11 * max(size[0] / 1140, size[1] / 720),  # 11 px where the picture is shown in at most 1140 x 720
+        "span_s": span_s,
+        "background": _data_uri(pictures.get(quiet)),
+        "quiet": quiet,
+        "horizon": _horizon(view.camera, size),
+        "tracks": _tracks(points, start, span_s),
+        "shapes": _shapes(view.rules, size),
+        "ticks": _ticks(span_s),
+        "rules": view.rules,
+        "situations": [
             _situation(row, point, start, span_s, pictures if number < THUMBNAILS_MAX else {})
             for number, (row, point) in enumerate(zip(found, deciding, strict=True))
         ],
-    )
-    try:
-        file.write_text(page, encoding="utf-8")
-    except OSError as error:
-        raise WorldFailed(
-            f"the report cannot be written to {file}: {error.strerror}; all else is done. "
-            "Next: the same command with another --report FILE"
-        ) from error
+    }
+
+
+def _horizon(camera: CameraFound, size: tuple[int, int]) -> Drawn | None:
+    """The horizon, its interval, and the true one; None where the tracks did not decide it."""
+    line = camera.horizon
+    if line is None:
+        return None
+    width, height = size
+    x = np.linspace(0, width, 9)
+    reach = line.reach_at(x)
+    band = np.concatenate([np.stack([x, line.at(x) - reach], 1), np.stack([x, line.at(x) + reach], 1)[::-1]])
+    top = float(np.clip((line.at(x) - reach).min() - 0.03 * height, -BEYOND_MAX * height, 0))
+    true = None if camera.true_horizon is None else _svg_points(np.stack([x, camera.true_horizon.at(x)], 1))
+    return Drawn(_svg_points(np.stack([x, line.at(x)], 1)), _svg_points(band), true, top)
 
 
 def _tracks(points: Sequence[dict[str, Any]], start: datetime, span_s: float) -> list[Track]:

@@ -1,14 +1,15 @@
-"""The demo: a video becomes events, situations, an answer in SQL, and a second log with the same chain.
+"""The demo: videos become events, situations, an answer in SQL, and a second log with the same chain.
 
 Contract: everything runs for real, and together: extraction, row projectors, the rule processor, a
-central server over HTTP on loopback, and the sync daemon. The log depends on the clip alone: its
-times are the clip's, beginning at `CLIP_START`. Run again after a kill it goes on; run again after
+central server over HTTP on loopback, and the sync daemon. The log depends on the clips alone: its
+times are the clips', each beginning at `CLIP_START`. Run again after a kill it goes on; run again after
 its end it appends nothing and shows the same.
 """
 
 import hashlib
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+import logging
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from functools import partial
@@ -23,16 +24,17 @@ from events import station_name
 from patterns.engine.compiling import compiling_beside
 from patterns.errors import PatternError
 from patterns.files.rule import Rule
-from patterns.processor import Processor, deploy
+from patterns.processor import Processor, deploy, passes
 from store import Log, Projector, StationKey, Verification, verify
 from sync.central.access import REPLICATE, Access
 from sync.protocol.enrolment import new_secret
 from sync.station.daemon import Daemon
 from vian.api import bind, create_app, serving
 from vian.clock import utc_now
-from vian.demo.clip import Clip
-from vian.demo.report import Facts, write_report
-from vian.demo.scenes import rules_for, source_of
+from vian.demo.cameras import CameraFound, camera_found, camera_rows
+from vian.demo.clip import SQUARE, Clip, Origin
+from vian.demo.report import Facts, View, write_report
+from vian.demo.scenes import RULES_IN_METRES, rules_for, source_of
 from vian.enrolling import enrol_at
 from vian.errors import WorldFailed, WrongUsage
 from vian.extraction import Extraction, Job, extract_motion, media_clock
@@ -66,20 +68,30 @@ _STEP_SECONDS = 0.5
 class Summary:
     """What the demo came to."""
 
-    clip: Clip
-    extraction: Extraction
+    clips: Sequence[Clip]
+    extractions: Sequence[Extraction]
+    """one a clip"""
+    cameras: Sequence[CameraFound]
+    """likewise"""
     seconds: float
     events: int
     """events in the station's log"""
     payload_bytes: int
     situations: pa.Table
     """answer to `ANSWER_SQL`"""
+    in_metres: Sequence[str]
+    """titles of the situations that a rule found in metres"""
     events_replicated: int
     """events in the central log"""
     station: Verification
     central: Verification
     heads_agree: bool
     report: Path
+
+    @property
+    def frames(self) -> int:
+        """Frames of all clips."""
+        return sum(each.frames for each in self.extractions)
 
     @property
     def bytes_per_event(self) -> float:
@@ -93,14 +105,18 @@ class Summary:
 
 
 def run_demo(
-    open_station: Callable[[], Log], open_central: Callable[[], Log], clip: Clip, report: Path, output: Output
+    open_station: Callable[[], Log],
+    open_central: Callable[[], Log],
+    clips: Sequence[Clip],
+    report: Path,
+    output: Output,
 ) -> Summary:
-    """Run the demo on the clip, or go on with it.
+    """Run the demo on the clips, one after another, or go on with it.
 
     Args:
         open_station: Opens the station's log.
         open_central: Opens the central log.
-        clip: The video.
+        clips: The videos, of cameras of their own.
         report: File of the report.
         output: Where progress is shown.
 
@@ -114,27 +130,29 @@ def run_demo(
         station = stack.enter_context(open_station())
         _check_is_ours(station)
         central = stack.enter_context(open_central())
-        rules = rules_for(clip)
-        _deploy(station, rules)
-        extraction = _run_together(stack, station, central, rules, clip, output)
+        rules = {clip: rules_for(clip) for clip in clips}
+        _deploy(station, [rule for own in rules.values() for rule in own])
+        extractions = _run_together(stack, station, central, rules, output)
         verified = verify(station), verify(central)
         agree = _heads(station) == _heads(central)
         answer = query(station, ANSWER_SQL)
         events, payload_bytes = _size(station)
         summary = Summary(
-            clip,
-            extraction,
+            clips,
+            extractions,
+            [_camera(station, clip) for clip in clips],
             monotonic() - began,
             events,
             payload_bytes,
             answer,
+            _titles(station, RULES_IN_METRES),
             _size(central)[0],
             *verified,
             agree,
             report,
         )
         output.note("drawing the report")
-        write_report(station, clip.path, rules, _facts(summary), report)
+        write_report(station, _views(summary, rules), _facts(summary), report)
     return summary
 
 
@@ -150,8 +168,8 @@ def _deploy(station: Log, rules: list[Rule]) -> None:
 
 
 def _run_together(
-    stack: ExitStack, station: Log, central: Log, rules: list[Rule], clip: Clip, output: Output
-) -> Extraction:
+    stack: ExitStack, station: Log, central: Log, rules: Mapping[Clip, list[Rule]], output: Output
+) -> list[Extraction]:
     """Extraction, projectors, rules, server and sync at once, until all have come to the same place."""
     clock = _Clock()
     access = Access(central, station_name("central"), _CENTRAL_KEY, now=clock)
@@ -170,7 +188,9 @@ def _run_together(
         )
     )
     stack.enter_context(compiling_beside())
-    processor = Processor(station, STATION, rules)
+    if any(clip.origin is Origin.SQUARE for clip in rules):
+        stack.enter_context(_said_of_metres(output))
+    processor = Processor(station, STATION, [rule for own in rules.values() for rule in own])
     projectors = [Projector(station), Projector(central)]
     parts = [
         stepping("rules", lambda: processor.step(_STEP_SECONDS), station, processor.close),
@@ -179,16 +199,36 @@ def _run_together(
         sync_part(daemon),
     ]
     with Parts(parts) as running:
-        with output.progress("frames", None) as bar:
-
-            def show(done: int, expected: int | None) -> None:
-                running.check()
-                bar.at(done, expected)
-
-            extraction = extract_motion(_job(station, clip, show, output))
+        extractions = [_extracted(station, clip, running, output) for clip in rules]
         output.note("bringing rules, row tables and the central log to the same place")
         _converge(running, station, central, processor, projectors, daemon)
-    return extraction
+    return extractions
+
+
+def _extracted(station: Log, clip: Clip, running: Parts, output: Output) -> Extraction:
+    with output.progress(f"frames of {source_of(clip)}", None) as bar:
+
+        def show(done: int, expected: int | None) -> None:
+            running.check()
+            bar.at(done, expected)
+
+        return extract_motion(_job(station, clip, show, output))
+
+
+@contextmanager
+def _said_of_metres(output: Output) -> Iterator[None]:
+    """In place of the processor's warnings of sources without metres, a word that this is meant."""
+    output.note("speeds of the square are known from when enough people have crossed it to calibrate its camera")
+    logger = logging.getLogger(passes.__name__)
+    logger.addFilter(_is_not_of_metres)
+    try:
+        yield
+    finally:
+        logger.removeFilter(_is_not_of_metres)
+
+
+def _is_not_of_metres(record: logging.LogRecord) -> bool:
+    return "asks for metres" not in str(record.msg)
 
 
 class _Clock:
@@ -307,14 +347,16 @@ class _Loopback(httpx.HTTPTransport):
 
 def summary_rows(summary: Summary) -> Iterator[tuple[str, str]]:
     """The summary as names and values, for the table and the report."""
-    extraction = summary.extraction
-    yield "frames", f"{extraction.frames}" + (" (extracted in an earlier run)" if extraction.was_done else "")
+    was_done = all(each.was_done for each in summary.extractions)
+    yield "frames", f"{summary.frames}" + (" (extracted in an earlier run)" if was_done else "")
     yield "events in the log", f"{summary.events}"
     yield "bytes per event", f"{summary.bytes_per_event:.1f}"
     for row in summary.situations.to_pylist():
         yield f"situations: {row['rule']}", str(row["situations"])
     if not summary.situations.num_rows:
         yield "situations", "0"
+    for found in summary.cameras:
+        yield from camera_rows(found)
     yield "events replicated", f"{summary.events_replicated}"
     yield "chains verified", "yes, heads agree" if summary.is_sound else "NO"
 
@@ -323,12 +365,27 @@ def _shown(value: object) -> str:
     return f"{value:%Y-%m-%d %H:%M:%S}" if isinstance(value, datetime) else str(value)
 
 
+def _camera(station: Log, clip: Clip) -> CameraFound:
+    return camera_found(station, STATION, source_of(clip), SQUARE.camera if clip.origin is Origin.SQUARE else None)
+
+
+def _titles(station: Log, rules: Sequence[str]) -> list[str]:
+    """What situations of these rules, under the names that they have for a source, are called, in order of time."""
+    like = " or ".join(f"rule like '{rule}-%'" for rule in rules)
+    found = query(station, f"select title from situation_detected where {like} order by time, sequence")
+    return [str(title) for title in found.column("title").to_pylist()]
+
+
+def _views(summary: Summary, rules: Mapping[Clip, list[Rule]]) -> list[View]:
+    return [
+        View(clip.path, clip.attribution, found, rules[clip])
+        for clip, found in zip(summary.clips, summary.cameras, strict=True)
+    ]
+
+
 def _facts(summary: Summary) -> Facts:
     return Facts(
         summary=list(summary_rows(summary)),
-        attribution=summary.clip.attribution,
-        video=summary.clip.path.name,
-        source=summary.extraction.source,
         station=STATION,
         answer_sql=ANSWER_SQL,
         answer=[[_shown(value) for value in row.values()] for row in summary.situations.to_pylist()],

@@ -13,7 +13,9 @@ from patterns.scene.geometry import Line, Zone
 from vian.demo.clip import Clip, Origin
 
 RULES = ("zone-intrusion", "loitering", "line-crossing")
-"""The shipped rules that the demo shows."""
+"""The shipped rules that the demo shows ..."""
+RULES_IN_METRES = ("speeding",)
+"""... and those on its square, of which it knows metres."""
 
 Corners = Sequence[tuple[float, float]]
 
@@ -34,10 +36,12 @@ class Scene:
 _LOBBY = Scene("lobby", [(0.47, 0.80), (0.72, 0.80), (0.76, 0.985), (0.43, 0.985)], [(0.85, 1.0), (0.85, 0.78)], "6 s")
 _STREET = Scene("street", LOITER_ZONE, CROSSING_LINE, "6 s")
 _ANY = Scene("video", [(0.25, 0.4), (0.75, 0.4), (0.85, 0.98), (0.15, 0.98)], [(0.5, 1.0), (0.5, 0.0)], "6 s")
+_SQUARE = Scene("square", [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)], CROSSING_LINE, "6 s")
 _SCENES: Mapping[Origin, Scene] = {
     Origin.SAMPLES: _LOBBY,
     Origin.DOWNLOAD: _LOBBY,
     Origin.RENDERED: _STREET,
+    Origin.SQUARE: _SQUARE,
     Origin.GIVEN: _ANY,
 }
 
@@ -55,7 +59,8 @@ def source_of(clip: Clip) -> str:
 
 def rules_for(clip: Clip) -> list[Rule]:
     """The demo's rules, with their zones and lines in the clip's scene."""
-    return [_placed(_shipped(name), _SCENES[clip.origin], source_of(clip), clip.is_known) for name in RULES]
+    names = RULES_IN_METRES if clip.origin is Origin.SQUARE else RULES
+    return [_placed(_shipped(name), _SCENES[clip.origin], source_of(clip), clip.is_known) for name in names]
 
 
 def _shipped(name: str) -> Rule:

@@ -20,27 +20,38 @@ class HorizonEstimator(Protocol):
 
 
 class TrackHorizon:
-    """The estimator that ships: `extractors.horizon`, with its default parameters."""
+    """The estimator that ships: `extractors.horizon`.
+
+    Args:
+        is_of_blobs: Whether the boxes are those of the motion extractor, whose parameters are others.
+    """
 
     name = "vian"
+
+    def __init__(self, *, is_of_blobs: bool = False) -> None:
+        self._config = HorizonConfig.of_blobs() if is_of_blobs else HorizonConfig()
 
     def estimate(self, boxes: Boxes, width: int, height: int) -> Horizon | None:
         """The horizon and its covariance, or none."""
         points = TrackPoints(boxes.time_us, boxes.track_id, boxes.frame, boxes.xyxy, boxes.confidence)
-        found = estimated(points, FrameSize(width, height), HorizonConfig())
+        found = estimated(points, FrameSize(width, height), self._config)
         if found is None:
             return None
         line = found.fit.line
         return Horizon(line.slope, line.offset, found.fit.line_covariance)
 
 
-def estimators(names: list[str] | None = None) -> list[HorizonEstimator]:
+def estimators(names: list[str] | None = None, *, is_of_blobs: bool = False) -> list[HorizonEstimator]:
     """The estimators of these names; all of them without names.
+
+    Args:
+        names: Which.
+        is_of_blobs: Whether the boxes that they get are those of the motion extractor.
 
     Raises:
         WrongUsage: There is none of a name.
     """
-    known: list[HorizonEstimator] = [TrackHorizon(), VoteLine(), SizeRelation()]
+    known: list[HorizonEstimator] = [TrackHorizon(is_of_blobs=is_of_blobs), VoteLine(), SizeRelation()]
     if names is None:
         return known
     by_name = {each.name: each for each in known}

@@ -1,6 +1,7 @@
 """The distribution of errors as a plot; needs matplotlib, which the extra `vian[evaluate]` brings."""
 
 from collections.abc import Sequence
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,21 @@ from vian.evaluation.lines import AUC_MAX
 FORMATS = (".png", ".svg")
 
 
+def check_plot(file: Path) -> None:
+    """Refuse, before anything is measured, a plot that could not be drawn.
+
+    Raises:
+        WrongUsage: The name ends with neither .png nor .svg.
+        WorldFailed: matplotlib is not installed, or there is no such folder.
+    """
+    if file.suffix.lower() not in FORMATS:
+        raise WrongUsage(f"--plot must end with {' or '.join(FORMATS)}, got {file.name!r}")
+    if find_spec("matplotlib") is None:
+        raise WorldFailed("--plot needs matplotlib. Next: pip install 'vian[evaluate]'")
+    if not file.resolve().parent.is_dir():
+        raise WorldFailed(f"{file}: cannot be written: no such folder. Next: give another place")
+
+
 def plot_errors(found: Sequence[Judged], file: Path) -> None:
     """Draw the share of scenes over the largest error, a curve a method, up to where `auc` ends.
 
@@ -19,13 +35,10 @@ def plot_errors(found: Sequence[Judged], file: Path) -> None:
         WrongUsage: The name ends with neither .png nor .svg.
         WorldFailed: matplotlib is not installed, or the file cannot be written.
     """
-    if file.suffix.lower() not in FORMATS:
-        raise WrongUsage(f"--plot must end with {' or '.join(FORMATS)}, got {file.name!r}")
-    try:
-        from matplotlib import rc_context
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise WorldFailed("--plot needs matplotlib. Next: pip install 'vian[evaluate]'") from error
+    check_plot(file)
+    from matplotlib import rc_context
+    from matplotlib.figure import Figure
+
     with rc_context({"svg.hashsalt": "vian", "font.family": "DejaVu Sans"}):
         figure = Figure(figsize=(5.2, 3.4), layout="constrained")
         axes = figure.add_subplot()

@@ -75,8 +75,8 @@ def read_camera(path: Path) -> TsaiCamera:
         said = {name: float(_element(root, tag).attrib[name]) for tag, names in _ELEMENTS.items() for name in names}
     except (ElementTree.ParseError, KeyError, ValueError) as error:
         raise WrongUsage(
-            f"{path}: not a Tsai calibration as PETS has it ({error!r}), wanted Geometry, Intrinsic and Extrinsic. "
-            "Next: give the camera's XML"
+            f"{path}: not a Tsai calibration as PETS has it ({_what(error)}), wanted Geometry, Intrinsic and "
+            "Extrinsic. Next: give the camera's XML"
         ) from error
     if (
         not np.isfinite(list(said.values())).all()
@@ -112,6 +112,10 @@ def horizon_of(camera: TsaiCamera) -> Horizon:
     y = [brentq(side, camera.centre_xy[1] - reach, camera.centre_xy[1] + reach, args=(each,)) for each in x]
     slope, offset = np.polyfit(x, y, 1)
     return Horizon(float(slope), float(offset))
+
+
+def _what(error: Exception) -> str:
+    return f"no {error.args[0]} in it" if isinstance(error, KeyError) else str(error)
 
 
 def _element(root: ElementTree.Element, tag: str) -> ElementTree.Element:

@@ -104,8 +104,8 @@ def horizon_of_marks(marks: Marks) -> Marked:
     """
     if len(marks.groups) < 2:
         raise WrongUsage(
-            f"{len(marks.groups)} group of parallel lines, wanted two or more of different directions: one vanishing "
-            "point is one point of the horizon. Next: mark another direction"
+            f"groups of parallel lines: {len(marks.groups)}, wanted two or more of different directions, since each "
+            "gives one point of the horizon. Next: mark another direction"
         )
     points = tuple(_vanishing_point(group, number, marks.marked_px) for number, group in enumerate(marks.groups, 1))
     horizon = _line_through(points)

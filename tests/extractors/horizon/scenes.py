@@ -130,10 +130,9 @@ def boxes_of(feet_m: Floats, size_m: float, camera: Camera) -> Floats:
     ahead /= np.linalg.norm(ahead)
     right = np.cross(ahead, n)
     feet = feet_m[:, :1] * right + feet_m[:, 1:] * ahead - camera.height_m * n
-    head_y = _projected(feet + size_m * n, camera)[:, 1]
-    x, y = _projected(feet, camera).T
-    half = 0.18 * (y - head_y)
-    return np.stack([x - half, head_y, x + half, y], axis=1)
+    (head_x, head_y), (x, y) = _projected(feet + size_m * n, camera).T, _projected(feet, camera).T
+    middle, half = (x + head_x) / 2, 0.18 * (y - head_y)
+    return np.stack([middle - half, head_y, middle + half, y], axis=1)
 
 
 def _projected(points_m: Floats, camera: Camera) -> Floats:

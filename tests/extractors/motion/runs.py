@@ -1,4 +1,4 @@
-"""Runs of the motion extractor and their events as plain arrays."""
+"""Runs of the motion extractor, their events as plain arrays, and how they score against the truth."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -11,6 +11,8 @@ import numpy.typing as npt
 from events import ActivityInterval, EventBatch, TrackEnded, TrackPoint, events_of
 from extractors.media import Frame, Gap
 from extractors.motion import Extraction, MotionConfig, extract
+from vian.evaluation.boxes import Boxes
+from vian.evaluation.scoring import Scores, scores
 
 START = datetime(2026, 1, 1, tzinfo=UTC)
 
@@ -49,3 +51,14 @@ class Run:
 
 def run(frames: Iterable[Frame | Gap], config: MotionConfig | None = None, **settings: Any) -> Run:
     return Run(list(extract(frames, config or MotionConfig(), start_time=START, **settings)))
+
+
+def scored(truth: npt.NDArray[np.float64], found: npt.NDArray[np.float64]) -> Scores:
+    """Scores of rows `frame track_id x1 y1 x2 y2` against such rows of the truth."""
+    return scores(_boxes(truth), _boxes(found))
+
+
+def _boxes(rows: npt.NDArray[np.float64]) -> Boxes:
+    rows = rows[np.argsort(rows[:, 0], kind="stable")]
+    frame, track_id = rows[:, 0].astype(np.int64), rows[:, 1].astype(np.int64)
+    return Boxes(frame, track_id, rows[:, 2:6], np.ones(len(rows)), 100_000 * frame)

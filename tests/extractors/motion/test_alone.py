@@ -3,7 +3,7 @@
 import numpy as np
 
 from extractors.motion import DetectedFrame, Detections, MotionConfig, track_detections
-from tests.extractors.scores import scores
+from tests.extractors.motion.runs import scored
 
 FRAMES, FPS = 120, 10
 
@@ -39,7 +39,7 @@ def tracked(frames: list[DetectedFrame]) -> np.ndarray:
 
 def test_who_crosses_and_who_stands_keeps_the_track() -> None:
     truth = walkers()
-    found = scores(truth, tracked(detected(truth))[:, :6])
+    found = scored(truth, tracked(detected(truth))[:, :6])
     assert found.switches == 0
     assert found.idf1 > 0.95
     assert found.mota > 0.9

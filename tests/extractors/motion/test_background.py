@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from extractors.media import Image
-from extractors.motion.background import Background, Foreground, tone_table
+from extractors.motion.background import Background, Foreground, is_grey, tone_table
 from extractors.motion.config import MotionConfig
 from extractors.motion.held import Box
 
@@ -126,6 +126,27 @@ def test_a_shadow_is_background_unless_wanted() -> None:
         found[is_removed] = share_in_person(camera.show(dark).mask)
     assert found[True] < 0.2
     assert found[False] > 0.8
+
+
+def test_who_is_darker_than_a_grey_scene_is_no_shadow_and_a_faint_shadow_is_one() -> None:
+    grey = np.repeat(street()[:, :, :1], 3, axis=2)
+    found = []
+    for share in (0.6, 0.85):
+        background, dark = Background(MotionConfig()), grey.copy()
+        dark[HERE] = np.rint(dark[HERE] * share)
+        for image in [grey] * 50:
+            background.foreground(image, DT, {})
+        found.append(share_in_person(background.foreground(dark, DT, {}).mask))
+    assert found[0] > 0.8
+    assert found[1] < 0.2
+
+
+def test_a_picture_is_grey_where_hardly_a_pixel_has_a_colour() -> None:
+    grey = np.full((30, 40, 3), 90, np.float32)
+    grey[0, :5] = (90, 92, 91)
+    assert is_grey(grey)
+    grey[:, :2] = (60, 90, 90)
+    assert not is_grey(grey)
 
 
 def test_tones_that_agree_need_no_table() -> None:

@@ -6,7 +6,7 @@ import pytest
 from extractors import scene
 from extractors.calibration import Camera
 from extractors.media import Frame
-from extractors.motion import CalibratedSizes, SizePrior, Sizes
+from extractors.motion import CalibratedSizes, SizePrior
 from extractors.motion.calibrated import ShrunkSizes
 from tests.extractors.motion.runs import run
 from tests.extractors.synthetic import boxes_of, floor
@@ -44,25 +44,18 @@ def test_in_a_smaller_picture_sizes_are_smaller() -> None:
     assert (found.height * 2, found.width * 2) == (wanted.height, wanted.width)
 
 
-def test_a_calibration_that_comes_splits_two_who_walk_together() -> None:
+def test_a_calibration_that_comes_splits_people_who_walk_together() -> None:
     """From the first picture on they are one blob: nothing could be learnt from them."""
-    pair = scene.Scene(
-        tuple(
-            scene.Actor(k, "person", ((1.0, start, 0.7), (7.0, start + 0.6, 0.7)), colour)
-            for k, start, colour in ((1, 0.1, (60, 50, 150)), (2, 0.14, (110, 60, 30)))
-        ),
-        seconds=7,
-    )
-    pictures = [Frame(i, 100_000 * i, image) for i, image in enumerate(scene.render(pair))]
-
-    class OfTheScene:
-        def expected(self, feet_xy: np.ndarray) -> Sizes:
-            height = scene.PERSON_SHARE * (feet_xy[:, 1] - scene.HORIZON_Y * pair.height)
-            return Sizes(height, 0.42 * height, np.full(len(height), 0.05))
+    camera = Camera(620.0, 0.3, 0.0, 5.0, 640, 360)
+    ways = [((1.0, east, 14.0), (7.0, east + 7.0, 14.0)) for east in (-4.0, -3.55, -3.1)]
+    colours = ((60, 50, 150), (110, 60, 30), (40, 120, 60))
+    people = [scene.Actor(k, "person", way, colour) for k, (way, colour) in enumerate(zip(ways, colours, strict=True))]
+    row = scene.Scene(camera, tuple(people), seconds=7)
+    pictures = [Frame(i, 100_000 * i, image) for i, image in enumerate(scene.render(row))]
 
     def tracks_of(sizes: SizePrior | None) -> int:
         found = run(pictures, calibrated=lambda: sizes)
         return len({end.track_id for end in found.ends if end.points > 20})
 
     assert tracks_of(None) == 1
-    assert tracks_of(OfTheScene()) == 2
+    assert tracks_of(CalibratedSizes(camera)) > 1

@@ -9,7 +9,7 @@ from extractors.motion.blobs import boxes, xywh, xyxy
 from extractors.motion.covering import explained
 from extractors.motion.detection import Detections
 from extractors.motion.sizes import LearntSizes
-from tests.extractors.scores import iou_matrix
+from vian.evaluation.scoring import iou_of
 
 SIZES = LearntSizes(np.array([0.25, 0.0, 5.0]), np.zeros((3, 3)), aspect=0.4, spread=0.05, deviation_max=0.25)
 NOBODY = np.zeros((0, 4))
@@ -41,7 +41,7 @@ def found_in(mask: np.ndarray, tracked: np.ndarray = NOBODY) -> Detections:
 
 def assert_are(found: Detections, people: np.ndarray, iou_min: float) -> None:
     assert len(found) == len(people)
-    assert (iou_matrix(people, found.boxes_xyxy).max(axis=1) >= iou_min).all()
+    assert (iou_of(people, found.boxes_xyxy).max(axis=1) >= iou_min).all()
 
 
 def test_one_figure_is_one_object() -> None:

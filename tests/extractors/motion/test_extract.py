@@ -15,8 +15,8 @@ from extractors.media import Frame, Gap, GapReason
 from extractors.motion import Extraction, MotionConfig, Seen, extract
 from extractors.video import frames
 from tests.extractors.films import film_of_two_sizes
-from tests.extractors.motion.runs import START, Run, run
-from tests.extractors.scores import iou_matrix, scores
+from tests.extractors.motion.runs import START, Run, run, scored
+from vian.evaluation.scoring import iou_of
 
 STREET = scene.street()
 
@@ -41,7 +41,7 @@ def short(street_frames: list[Frame], count: int = 90) -> list[Frame]:
 
 
 def test_each_object_is_one_track(street_run: Run, truth: np.ndarray) -> None:
-    found = scores(truth, street_run.rows)
+    found = scored(truth, street_run.rows)
     assert found.switches == 0
     # Missing are the pictures in which an object is only just entering or leaving.
     assert found.mota > 0.9
@@ -57,7 +57,7 @@ def test_positions_are_true_to_a_few_pixels(street_run: Run) -> None:
             continue
         here = rows[rows[:, 0] == box.frame]
         wanted = np.array([[box.x1, box.y1, box.x2, box.y2]])
-        iou = iou_matrix(here[:, 2:], wanted)[:, 0]
+        iou = iou_of(here[:, 2:], wanted)[:, 0]
         if iou.max(initial=0) > 0.3:
             x1, _, x2, y2 = here[iou.argmax(), 2:]
             errors.append(((x1 + x2 - box.x1 - box.x2) / 2, y2 - box.y2))

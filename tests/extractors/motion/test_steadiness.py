@@ -11,32 +11,10 @@ from events import ActivityInterval, SceneChanged, TrackEnded, TrackPoint, event
 from extractors.media import Frame, Gap, GapReason, Image
 from extractors.motion import MotionConfig, extract
 from extractors.motion.steadiness import Change, Steadiness
+from tests.extractors.motion.views import HEIGHT, WIDTH, view
 
 FPS = 10
-WIDTH, HEIGHT = 320, 240
 START = datetime(2026, 1, 1, tzinfo=UTC)
-
-
-def world(seed: int = 4) -> Image:
-    """Houses: rectangles of many sizes and tones, larger than the picture."""
-    rng = np.random.default_rng(seed)
-    image = np.full((3 * HEIGHT, 6 * WIDTH, 3), 120, np.uint8)
-    for _ in range(900):
-        x, y = rng.integers(0, image.shape[1]), rng.integers(0, image.shape[0])
-        width, height = rng.integers(10, 70, 2)
-        cv2.rectangle(image, (int(x), int(y)), (int(x + width), int(y + height)), rng.integers(30, 220, 3).tolist(), -1)
-    return image
-
-
-WORLD = world()
-
-
-def view(x: float, y: float = HEIGHT, *, seed: int = 0, noise: float = 2.0) -> Image:
-    """What the camera sees whose upper left corner is here."""
-    shift = np.array([[1, 0, -x], [0, 1, -y]], np.float32)
-    seen = cv2.warpAffine(WORLD, shift, (WIDTH, HEIGHT)).astype(np.float32)
-    grain = np.random.default_rng(seed).normal(0, noise, seen.shape)
-    return np.asarray(np.clip(seen + grain, 0, 255), np.uint8)
 
 
 def changes(pictures: Iterable[Image]) -> tuple[list[tuple[float, Change]], list[float]]:

@@ -3,9 +3,11 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from store import Log, Projector
+from tests.extractors.films import film, film_of, turned
 from tests.vian.conftest import Run
 from tests.vian.samples import START, heads
 
@@ -30,6 +32,26 @@ def test_a_video_is_extracted_and_its_rows_are_there(log: Log, run: Run, clip: P
     )
     assert heads(log) == before
     assert json.loads(run("extract", "motion", clip, *options, "--again", "2", "--json").out)["was_done"] is False
+
+
+def test_a_video_in_which_nothing_moves_says_so(log: Log, run: Run, tmp_path: Path) -> None:
+    still = film_of(tmp_path / "still.mkv", [np.full((120, 160), 90, np.uint8)] * 12, "gray")
+    ran = run("extract", "motion", still, "--source", "gate", "--dsn", log.dsn)
+    assert ran.code == 0
+    assert "12 frames, 0 events found besides the process's own, 0 gaps: nothing moved that was large" in ran.out
+
+
+def test_certificates_that_are_not_there_are_told(log: Log, run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("VIAN_LIVE_CA_FILE", "gone.pem")
+    ran = run("extract", "motion", "rtsps://127.0.0.1:9/1", "--source", "gate", "--dsn", log.dsn)
+    assert (ran.code, "live_ca_file gone.pem cannot be read: No such file" in ran.words) == (2, True)
+
+
+def test_what_is_odd_of_the_pictures_is_told_while_the_work_goes_on(log: Log, run: Run, tmp_path: Path) -> None:
+    upright = turned(film(tmp_path / "film.mp4", frames=12))
+    ran = run("extract", "motion", upright, "--source", "gate", "--dsn", log.dsn)
+    assert "before frame 0: the pictures are turned upright" in ran.words
+    assert "1 gap" in ran.out
 
 
 def test_a_guessed_start_is_told(log: Log, run: Run, clip: Path) -> None:

@@ -7,10 +7,20 @@ from typing import Any
 
 import numpy as np
 import pytest
+from psycopg.rows import dict_row
 
-from events import CameraCalibrated, Producer, StreamName, TrackPoint, VideoAdded, batch_of, encode
+from events import (
+    EventType,
+    Producer,
+    SceneChanged,
+    StreamName,
+    VideoAdded,
+    batch_of,
+    encode,
+)
 from extractors.calibration import Camera
-from store import Log
+from store import Log, Projector
+from store.field import field_session
 from tests.events.examples import camera_calibrated, track_point
 from tests.extractors.synthetic import walks
 from tests.patterns.walkers import STATION
@@ -31,7 +41,7 @@ def calibrate(log: Log, run: Run) -> Calibrate:
     return invoke
 
 
-def say(log: Log, event: CameraCalibrated | TrackPoint | VideoAdded, source: str = "cam-01") -> int:
+def say(log: Log, event: EventType, source: str = "cam-01") -> int:
     """Append the event; its position."""
     stream = StreamName.of(STATION, source, type(event).type_name)
     return log.append([encode(stream, batch_of([event]), PRODUCER)], [log.stream_head(stream).sequence])[0].position
@@ -67,7 +77,7 @@ def test_a_camera_is_calibrated_from_its_tracks_once(calibrate: Calibrate, log: 
     add_video(log)
     camera = Camera(700.0, 0.4, 0.05, 5.0, 768, 576)
     walk(log, camera)
-    ran = calibrate("--source", "cam-01", "--height-m", "5", "--json")
+    ran = calibrate("--source", "cam-01", "--camera-height-m", "5", "--json")
     assert ran.code == 0, ran.err
     told = json.loads(ran.out)
     assert (told["calibrated"], told["scale"], told["height_m"]) == (
@@ -76,7 +86,7 @@ def test_a_camera_is_calibrated_from_its_tracks_once(calibrate: Calibrate, log: 
         pytest.approx(5.0, rel=0.02),
     )
     assert told["focal_px"] == pytest.approx(camera.focal_px, rel=0.1)
-    assert "0 events appended" in calibrate("--source", "cam-01", "--height-m", "5").out
+    assert "0 events appended" in calibrate("--source", "cam-01", "--camera-height-m", "5").out
     found = rows(log, "select * from track_ground where time >= (select max(time) from camera_calibrated)")
     assert found
     assert all(row["ground_x_deviation"] > 0 and row["ground_speed_deviation"] > 0 for row in found)
@@ -87,6 +97,29 @@ def test_a_camera_is_calibrated_from_its_tracks_once(calibrate: Calibrate, log: 
     mapped = np.array([(row["ground_x"], row["ground_y"]) for row in every])
     told_m = np.array([(row["ground_x_deviation"], row["ground_y_deviation"]) for row in every])
     assert np.median(np.hypot(*(mapped - seen.feet_enu).T) / np.hypot(*told_m.T)) < 2
+
+
+def test_psql_and_central_have_the_same_metres(calibrate: Calibrate, log: Log) -> None:
+    add_video(log)
+    walk(log, Camera(700.0, 0.4, 0.05, 5.0, 768, 576))
+    assert calibrate("--source", "cam-01").code == 0
+    say(log, track_point(time=START + timedelta(minutes=1), x=300.0, y=500.0, vx=0.0, vy=0.0, y1=400.0, y2=500.0))
+    say(log, track_point(time=START + timedelta(minutes=1), x=300.0, y=-900.0, vx=5.0, vy=0.0))  # above the horizon
+    Projector(log).catch_up()
+    here = rows(log, "select * from track_ground order by position, sequence")
+    with log.connection() as connection, connection.cursor(row_factory=dict_row) as cursor:
+        there = cursor.execute("select * from track_ground order by position, sequence").fetchall()
+    assert [row.keys() for row in here[:1]] == [row.keys() for row in there[:1]]
+    for one, other in zip(here, there, strict=True):
+        assert other == {name: pytest.approx(each, rel=1e-6, abs=1e-9) if isinstance(each, float) else each
+                         for name, each in one.items()}  # fmt: skip
+    assert here[-1]["ground_x"] is here[-1]["ground_x_deviation"] is None
+    for stations, count in ((["elsewhere"], 0), ([STATION], len(here))):
+        with field_session(log, stations) as session:
+            asked = session.lines(
+                "select count(ground_x_deviation) + 1 from field_track_ground", 1, rows_max=2, bytes_max=99
+            )
+            assert list(asked) == [f"[{max(count, 1)}]"]
 
 
 def told_position(log: Log) -> int:
@@ -120,6 +153,37 @@ def test_a_later_calibration_edits_nothing_and_points_can_be_read_through_it(log
         rows(log, asked, calibration=99)
 
 
+def test_a_calibration_ends_where_the_camera_is_moved_and_what_is_said_later_of_a_time_counts(log: Log) -> None:
+    scale = "[[{0}, 0, 0], [0, {0}, 0], [0, 0, 1]]"
+
+    def calibrate(factor: float, second: int) -> int:
+        return say(log, camera_calibrated(time=START + timedelta(seconds=second), homography=scale.format(factor)))
+
+    add_video(log)
+    calibrate(0.1, 1)
+    for second in range(6):
+        say(log, track_point(time=START + timedelta(seconds=second), x=10.0, y=20.0))
+    for cause, second in (("moved", 3), ("unknown", 5)):
+        values: dict[str, Any] = {"cause": cause, "changed_share": 1.0, "dx": None, "dy": None}
+        say(log, SceneChanged(time=START + timedelta(seconds=second), **values))
+    calibrate(0.2, 4)
+    asked = "select round(ground_x * 7.68, 3) as x from track_ground order by time"  # of 768 px for 100
+    assert [row["x"] for row in rows(log, asked)] == [None, 1.0, 1.0, None, 2.0, 2.0]
+    calibrate(0.3, 0)  # of the whole of the first view, said afterwards
+    assert [row["x"] for row in rows(log, asked)] == [3.0, 3.0, 3.0, None, 2.0, 2.0]
+
+
+def test_points_are_scaled_from_the_size_that_their_frames_had(log: Log) -> None:
+    add_video(log)
+    say(log, camera_calibrated(time=START, homography="[[1, 0, 0], [0, 1, 0], [0, 0, 1]]", width=768, height=576))
+    say(log, track_point(time=START, x=10.0, y=20.0))
+    size: dict[str, Any] = {"width": 1536, "height": 576, "fps": 5.0, "frames_expected": 100, "codec": "h264"}
+    say(log, VideoAdded(time=START, video="01", path="v", started_at=START, **size))
+    say(log, track_point(time=START, x=10.0, y=20.0))
+    found = [(row["ground_x"], row["ground_y"]) for row in rows(log, "select * from track_ground order by position")]
+    assert found == [(10.0, 20.0), (5.0, 20.0)]
+
+
 def test_too_little_calibrates_nothing_and_says_why(calibrate: Calibrate, log: Log) -> None:
     assert "the log has no video of source cam-01" in calibrate("--source", "cam-01").words
     add_video(log)
@@ -134,8 +198,11 @@ def test_too_little_calibrates_nothing_and_says_why(calibrate: Calibrate, log: L
 @pytest.mark.parametrize(
     "arguments,message",
     [
-        (("--height-m", "5", "--person-height-m", "1.7"), "give one of --height-m, --length and --person-height-m"),
-        (("--height-m", "-5"), "--height-m must be a length above 0, got -5"),
+        (
+            ("--camera-height-m", "5", "--person-height-m", "1.7"),
+            "give one of --camera-height-m, --length and --person-height-m",
+        ),
+        (("--camera-height-m", "-5"), "--camera-height-m must be a length above 0, got -5"),
         (("--person-height-m", "nan"), "--person-height-m must be a length above 0, got nan"),
         (("--length", "1,2,3,4"), "--length must be X1,Y1,X2,Y2,METRES such as"),
         (("--length", "1,2,1,2,3"), "--length must be of two points apart"),

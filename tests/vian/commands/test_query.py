@@ -109,7 +109,7 @@ def test_a_query_is_pruned_by_time_and_source(filled: Log, run: Run) -> None:
     [
         (["select 1; select 2"], "a query is one statement, got 2. Next: ask one after the other"),
         (["selct 1"], "the query is not right: Parser Error: syntax error"),
-        (["select * from nowhere"], "Tables: events, streams, activity_interval"),
+        (["select * from nowhere"], "Tables: events, streams, track_ground, activity_interval"),
         (["select 1", "--since", "yesterday"], "--since must be a time such as"),
         (["select * from track_point match_recognize (patern (a))"], "<query>:1:44: wanted one of the clauses"),
     ],
@@ -154,7 +154,7 @@ def test_an_empty_query_is_told_with_an_example(filled: Log, run: Run, sql: str)
 
 def test_tables_of_ours_are_named_and_duckdbs_own_not_guessed(filled: Log, run: Run) -> None:
     ran = run("query", "select * from track_points", "--dsn", filled.dsn)
-    assert "Tables: events, streams, activity_interval" in ran.words
+    assert "Tables: events, streams, track_ground, activity_interval" in ran.words
     assert "Did you mean" not in ran.err
     assert 'Did you mean "floor"' in run("query", "select floo(1.5)", "--dsn", filled.dsn).err
 

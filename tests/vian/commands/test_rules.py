@@ -165,6 +165,25 @@ def test_a_zone_of_a_source_that_the_log_has_not_is_told_before_the_rule_is_depl
     assert ran.words.endswith("deployed high version 1")
 
 
+TESTED = """tests:
+  - name: {name}
+    given: [{{time: 2026-01-01T12:00:00Z, track_id: 1, x: {x}}}]
+    expect: [{{at: 9}}]
+"""
+
+
+def test_a_rule_whose_own_tests_fail_is_told_when_it_is_deployed(log: Log, run: Run, tmp_path: Path) -> None:
+    path = write_rule(tmp_path / "high.yaml")
+    path.write_text(path.read_text() + TESTED.format(name="as wanted", x=9))
+    assert "warning" not in run("rules", "run", path, "--once", "--dsn", log.dsn).err
+    path.write_text(path.read_text().replace("version: 1", "version: 2").replace("x: 9", "x: 8"))
+    for command in (("deploy",), ("run", "--once")):
+        ran = run("rules", *command, path, "--dsn", log.dsn)
+        assert ran.code == 0
+        said = f"warning: high: 1 of its own 1 tests fail: as wanted. Next: vian rules test {path}"
+        assert said in ran.words
+
+
 def test_a_rule_on_an_empty_log_waits_for_its_source_in_silence(log: Log, run: Run, tmp_path: Path) -> None:
     path = write_rule(tmp_path / "high.yaml")
     path.write_text(path.read_text() + ZONE)

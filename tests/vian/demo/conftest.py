@@ -26,7 +26,7 @@ class Stage:
     def run(self, clip: Clip | None = None) -> Summary:
         """Run the demo as a process of its own would: with handles of its own on the logs."""
         return run_demo(
-            lambda: reopened(self.station), lambda: reopened(self.central), clip or self.clip, self.report, Output()
+            lambda: reopened(self.station), lambda: reopened(self.central), [clip or self.clip], self.report, Output()
         )
 
     def heads(self) -> list[dict[str, tuple[int, str]]]:

@@ -11,23 +11,22 @@ from typing import Any
 
 import pytest
 
-from events import MatchedRange, SituationDetected, StreamName, TrackPoint, VideoAdded, batch_of
+from events import HorizonEstimate, MatchedRange, SituationDetected, StreamName, TrackPoint, VideoAdded, batch_of
+from extractors.calibration import Camera
 from patterns.files.rule import Rule
 from store import Log
 from tests.vian.clips import write_clip
 from tests.vian.demo.conftest import Stage
 from tests.vian.samples import START, append
+from vian.demo.cameras import CameraFound, camera_found, camera_rows
 from vian.demo.clip import Clip, Origin
-from vian.demo.report import Facts, write_report
+from vian.demo.report import Facts, View, write_report
 from vian.demo.scenes import rules_for
 from vian.errors import WorldFailed
 
 HOSTILE = "<script>alert(1)</script>\"'><img src=x onerror=alert(1)> & {{ 7 * 7 }} ščř " + "W" * 300
 FACTS = Facts(
     summary=[("events", "5")],
-    attribution=None,
-    video="clip.mp4",
-    source="gate",
     station="brno",
     answer_sql="SELECT 1",
     answer=[["1"]],
@@ -114,8 +113,20 @@ def rules(clip: Path) -> list[Rule]:
     return [rule.model_copy(update={"rule": rule.rule.rsplit("-crossing-", 1)[0] + "-gate"}) for rule in found]
 
 
-def report(log: Log, clip: Path, rules: Sequence[Rule], tmp_path: Path, facts: Facts = FACTS) -> Page:
-    write_report(log, clip, rules, facts, tmp_path / "report.html")
+UNDECIDED = CameraFound("gate", None, None, None)
+
+
+def report(
+    log: Log,
+    clip: Path,
+    rules: Sequence[Rule],
+    tmp_path: Path,
+    facts: Facts = FACTS,
+    *,
+    attribution: str | None = None,
+    camera: CameraFound = UNDECIDED,
+) -> Page:
+    write_report(log, [View(clip, attribution, camera, rules)], facts, tmp_path / "report.html")
     return Page((tmp_path / "report.html").read_text())
 
 
@@ -125,7 +136,7 @@ def test_the_demos_report_shows_tracks_places_timeline_and_pictures(stage: Stage
     assert len(page.all("polyline", class_="track")) == 1
     assert len(page.all("polygon", class_="shape")) == 1
     assert len(page.all("polyline", class_="line")) == 1
-    source = summary.extraction.source
+    source = summary.extractions[0].source
     assert f"restricted (zone-intrusion-{source})watched (loitering-{source})" in page.text
     assert f"door (line-crossing-{source})" in page.text
     shown = page.all("article")
@@ -152,13 +163,11 @@ def test_names_and_titles_cannot_escape_their_place(
     log: Log, clip: Path, rules: Sequence[Rule], tmp_path: Path
 ) -> None:
     fill(log, clip, tracks=2, situations=1, title=HOSTILE)
-    facts = replace(
-        FACTS, video=HOSTILE, attribution=HOSTILE, answer_sql=HOSTILE, answer=[[HOSTILE]], summary=[(HOSTILE, HOSTILE)]
-    )
-    page = report(log, clip, rules, tmp_path, facts)
+    facts = replace(FACTS, answer_sql=HOSTILE, answer=[[HOSTILE]], summary=[(HOSTILE, HOSTILE)])
+    page = report(log, clip, rules, tmp_path, facts, attribution=HOSTILE)
     assert len(page.all("script")) == 1
     assert [attributes for _, attributes in page.tags if "onerror" in attributes] == []
-    assert page.text.count("<script>alert(1)</script>") == 7
+    assert page.text.count("<script>alert(1)</script>") == 6
     assert "{{ 7 * 7 }}" in page.text
     (bar,) = page.all("a")
     assert bar["title"] == HOSTILE
@@ -222,7 +231,7 @@ def test_brief_tracks_are_faint_and_others_are_not(log: Log, clip: Path, rules: 
     lasting = [_point(1, number) for number in (0, 1, 2, 5)]
     append(log, batch_of(lasting), stream("track_point"))
     page = report(log, clip, rules, tmp_path)
-    assert [each["data-track"] for each in page.all("polyline", class_="brief")] == ["1"]
+    assert [each["data-track"] for each in page.all("polyline", class_="brief")] == ["gate-1"]
     assert len(page.all("polyline", class_="track")) == 2
 
 
@@ -264,7 +273,34 @@ def test_only_the_sources_own_events_are_shown(log: Log, clip: Path, rules: Sequ
     assert len(report(log, clip, rules, tmp_path).all("polyline", class_="track")) == 3
 
 
+def test_a_horizon_above_the_frame_is_drawn_with_its_interval_and_the_true_one(
+    log: Log, clip: Path, rules: Sequence[Rule], tmp_path: Path
+) -> None:
+    fill(log, clip, tracks=1, situations=0)
+    estimate = HorizonEstimate(
+        time=START, slope=0.1, offset_px=-60, slope_variance=0, slope_offset_covariance=0, offset_variance=25,
+        width=320, height=240, votes=9,
+    )  # fmt: skip
+    append(log, batch_of([estimate]), stream("horizon_estimate"))
+    camera = camera_found(log, "brno", "gate", Camera(300.0, 0.55, 0.1, 4.0, 320, 240))
+    page = report(log, clip, rules, tmp_path, camera=camera)
+    (picture,) = page.all("svg")
+    assert picture["viewbox"] == "0 -77 320 317", "the interval and a margin: 60 + 1.96 * 5 + 0.03 * 240 px above"
+    (line, true), (band,) = page.all("polyline", class_="horizon"), page.all("polygon", class_="band")
+    assert str(line["points"]).startswith("0.0,-60.0 40.0,-56.0")
+    assert str(band["points"]).startswith("0.0,-69.8")
+    assert "true" in str(true["class"])
+    told = dict(camera_rows(camera))
+    assert told["horizon of gate"].startswith("y = 0.100 x -60 px, +- 10 px in the middle (truly 0.100 x ")
+    assert told["camera of gate"].startswith("not decided")
+
+
+def test_a_camera_of_which_nothing_is_known_is_said_to_be_so(log: Log) -> None:
+    told = dict(camera_rows(camera_found(log, "brno", "gate", None)))
+    assert [value.partition(" (")[0] for value in told.values()] == ["not decided", "not decided"]
+
+
 def test_a_report_that_cannot_be_written_is_told(log: Log, clip: Path, rules: Sequence[Rule], tmp_path: Path) -> None:
     fill(log, clip, tracks=1, situations=0)
     with pytest.raises(WorldFailed, match=r"cannot be written to .*gone.r\.html: No such file.*another --report FILE"):
-        write_report(log, clip, rules, FACTS, tmp_path / "gone" / "r.html")
+        write_report(log, [View(clip, None, UNDECIDED, rules)], FACTS, tmp_path / "gone" / "r.html")

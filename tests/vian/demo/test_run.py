@@ -1,4 +1,5 @@
 import json
+import re
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -17,10 +18,11 @@ from tests.vian.clips import Walk, write_clip
 from tests.vian.demo.conftest import Stage
 from tests.vian.samples import append, points
 from vian.demo import run as demo
-from vian.demo.clip import Clip, Origin
+from vian.demo.clip import SQUARE, Clip, Origin
 from vian.demo.run import CENTRAL, CLIP_START, STATION, Summary, summary_rows
 from vian.demo.scenes import rules_for, source_of
 from vian.errors import WorldFailed, WrongUsage
+from vian.evaluation.lines import Horizon, error_of
 from vian.extraction import Appender
 from vian.querying import query
 from vian.rules import file_text
@@ -37,12 +39,12 @@ def quick_end(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_clip_becomes_events_situations_an_answer_and_a_second_log(stage: Stage) -> None:
     summary = stage.run()
     assert summary.is_sound
-    assert summary.extraction.frames == 60
+    assert summary.frames == 60
     assert summary.events == summary.events_replicated > 40
     assert 10 < summary.bytes_per_event < 500
     station, central = stage.heads()
     assert station == central
-    source = summary.extraction.source
+    source = summary.extractions[0].source
     found = {row["rule"]: row["situations"] for row in summary.situations.to_pylist()}
     assert found == {f"zone-intrusion-{source}": 1, f"line-crossing-{source}": 1}
     counts = "select type, count(*) as n from events where station = 'demo' group by all order by all"
@@ -73,7 +75,7 @@ def test_a_second_run_appends_nothing_and_shows_the_same(stage: Stage) -> None:
         second = stage.run()
     assert [each["event"] for each in said if each["log_level"] != "info"] == []
     assert stage.heads() == before
-    assert second.extraction.was_done
+    assert second.extractions[0].was_done
     assert list(summary_rows(second))[1:] == list(summary_rows(first))[1:]
     assert ("frames", "60 (extracted in an earlier run)") in summary_rows(second)
     assert stage.report.read_text() == page.replace(
@@ -185,7 +187,7 @@ def test_one_log_shows_several_clips_one_after_another(stage: Stage, tmp_path: P
     other = write_clip(tmp_path / "other.mp4", [Walk(1.5, 5.0, (300, 150), (20, 150))], seed=9)
     second = stage.run(Clip(other, Origin.GIVEN, None))
     assert second.is_sound
-    assert second.extraction.source != first.extraction.source
+    assert second.extractions[0].source != first.extractions[0].source
     found = {row["rule"]: row["situations"] for row in second.situations.to_pylist()}
     assert sorted(found.values()) == [1, 1, 1, 1]
 
@@ -219,6 +221,21 @@ def test_logs_that_do_not_agree_make_no_sound_summary(stage: Stage, monkeypatch:
         summary = stage.run()
     assert not summary.is_sound
     assert ("chains verified", "NO") in summary_rows(summary)
+
+
+@pytest.mark.slow
+def test_the_square_shows_its_horizon_its_camera_and_speeds(stage: Stage, tmp_path: Path) -> None:
+    write(SQUARE, tmp_path / "square.mp4")
+    summary = stage.run(Clip(tmp_path / "square.mp4", Origin.SQUARE, None))
+    (found,) = summary.cameras
+    assert found.horizon is not None
+    assert error_of(found.horizon, Horizon(*SQUARE.camera.horizon), SQUARE.width, SQUARE.height) < 0.05
+    assert found.calibration is not None
+    assert found.calibration.height_m == pytest.approx(SQUARE.camera.height_m, rel=0.15)
+    runners = [actor for actor in SQUARE.actors if actor.waypoints[0][0] > SQUARE.actors[-3].waypoints[0][0]]
+    # Who runs is found, and nobody who walks.
+    assert 1 <= len(summary.in_metres) <= len(runners) == 2
+    assert all(re.fullmatch(r"track \d+ on square went \d+ km/h at .*", title) for title in summary.in_metres)
 
 
 @pytest.mark.slow
