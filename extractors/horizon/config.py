@@ -123,7 +123,7 @@ class HorizonConfig(BaseModel):
     """degrees of freedom of Student's t for changes of pace: people stop"""
     pace_floor: Positive = 0.06
     """smallest typical change of pace that is believed (standard deviation of the logarithm)"""
-    chord: Positive = 0.75
+    pace_stretch: Positive = 0.75
     """length in the picture of a stretch over which a pace is taken, box heights: over shorter ones the foot's noise
     and the swing of legs make ways seem longer, most so along the view"""
     pace_weight: Annotated[float, Field(gt=0, le=1)] = 0.4
@@ -131,7 +131,7 @@ class HorizonConfig(BaseModel):
     pace_trend: Share = 0.1
     """standard deviation of what all paces may change by across the frame (their logarithm): people slow down at a
     door or a crossing, whoever they are"""
-    height_trend: Share = 0.02
+    height_trend: Share = 0.01
     """likewise of heights: ground that is not quite a plane"""
     model_share: Positive = 0.004
     """standard deviation of what the model leaves out (lens distortion, uneven ground), of the frame's height"""

@@ -15,11 +15,11 @@ from extractors.horizon.places import Places
 
 
 class Paces(Evidence):
-    """Misfit of a step from one place to the next: its pace on the ground against its track's own."""
+    """Misfit of a stretch from one place to a later one: its pace on the ground against its track's own."""
 
     def __init__(self, places: Places, tracks: int, size: FrameSize, config: HorizonConfig) -> None:
         self._places, self._size = places, size
-        self._from, self._to = chords(places, config.chord)
+        self._from, self._to = _stretches(places, config.pace_stretch)
         self._log_s = np.log(places.time_s[self._to] - places.time_s[self._from])
         track = places.track[self._to]
         super().__init__(
@@ -49,7 +49,7 @@ class Paces(Evidence):
         return float(camera[5] + np.median(off))
 
 
-def chords(places: Places, share: float) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+def _stretches(places: Places, share: float) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
     """First and last place of each stretch of a track, `(n,)`: one begins where the one before ended.
 
     Args:
