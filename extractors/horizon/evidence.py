@@ -117,8 +117,7 @@ class Evidence(ABC):
         """
         jacobian = self._jacobian(camera, belief.own, misfits)
         by_own = (misfits - self.misfits(camera, belief.own + DIFFERENCE)) / DIFFERENCE
-        robust = (self._tail + 1) / (self._tail + (misfits / belief.noise) ** 2) / belief.noise**2
-        weights = self._weight * track_weights[self._track] * robust
+        weights = self._weight * track_weights[self._track] * self._robust_weights(belief, misfits)
         own_weights = self.own_weights(belief) * (self._own_tail + 1) / self._own_tail / self._own_spread**2
         own_gradient = self._sums(weights * by_own * misfits) - own_weights * belief.own
         gradients = self._sums_of((weights * misfits)[:, None] * jacobian)
@@ -135,6 +134,10 @@ class Evidence(ABC):
         trends = (weights[:, None] * self._trends).T @ jacobian
         trends -= (self._sums_of((weights * by_own)[:, None] * self._trends) / own_hessian[:, None]).T @ coupling
         return Part(scores, hessians, trends, coupling, own_hessian, own_gradient)
+
+    def _robust_weights(self, belief: Belief, misfits: Floats) -> Floats:
+        """Second derivative of each misfit's cost where it is nought, less where it is large, `(n,)`."""
+        return np.asarray((self._tail + 1) / (self._tail + (misfits / belief.noise) ** 2) / belief.noise**2)
 
     def _jacobian(self, camera: Floats, own: Floats, misfits: Floats) -> Floats:
         """Derivatives of the misfits by the camera, negative, `(n, c)`."""
