@@ -2,20 +2,23 @@
 
     python -m benchmarks.extractors [--quick] [--threads N] [--lines N] [VIDEO ...]
 
-Two tables, medians of five rounds in which the candidates take turns:
+Three tables, medians of five rounds in which the candidates take turns:
 
 - decode: frames per second out of `extractors.video` (PyAV in a process of its own), PyAV in this
   process, and OpenCV's reader, which is not safe (docs/decisions/0006-video-decoding.md);
-- motion: the motion extractor from decoded frames to batches of events, beside OpenCV's MOG2 alone.
+- motion: the motion extractor from decoded frames to batches of events, beside OpenCV's MOG2 alone;
+- whole: from a file of these frames to encoded segments, decoding included, all on one processor, beside the same.
 
 Without a video it renders the synthetic street.
 """
 
 import argparse
+import os
 import statistics
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -24,6 +27,7 @@ import av
 import cv2
 import numpy as np
 
+from events.segment import encode_payload
 from extractors import scene
 from extractors.media import Frame
 from extractors.motion import MotionConfig, extract
@@ -45,10 +49,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     rounds, frames_max = (1, 100) if options.quick else (ROUNDS, 400)
     with tempfile.TemporaryDirectory() as folder:
         for video in options.videos or [_street(Path(folder))]:
-            _measure(video, rounds, frames_max, options.lines)
+            _measure(video, rounds, frames_max, options.lines, Path(folder))
 
 
-def _measure(video: Path, rounds: int, frames_max: int, lines: int | None) -> None:
+def _measure(video: Path, rounds: int, frames_max: int, lines: int | None, folder: Path) -> None:
     pictures = [_of_lines(item, lines) for item in frames(video) if isinstance(item, Frame)][:frames_max]
     height, width = pictures[0].image.shape[:2]
     print(f"\n{video.name}: {len(pictures)} frames of {width}x{height}, {rounds} rounds")
@@ -63,6 +67,13 @@ def _measure(video: Path, rounds: int, frames_max: int, lines: int | None) -> No
         "OpenCV MOG2 alone": lambda: _subtracted(pictures),
     }
     _table("motion", workers, rounds, reference="OpenCV MOG2 alone")
+    film = _film(pictures, folder / "film.mkv")
+    roads: dict[str, Callable[[], int]] = {
+        "file to segments": lambda: _to_segments(film),
+        "OpenCV MOG2 alone": lambda: _subtracted(pictures),
+    }
+    with _one_processor():
+        _table("whole, one processor", roads, rounds, reference="OpenCV MOG2 alone")
 
 
 def _table(title: str, candidates: dict[str, Callable[[], int]], rounds: int, reference: str) -> None:
@@ -90,6 +101,40 @@ def _of_lines(frame: Frame, lines: int | None) -> Frame:
 def _extracted(pictures: list[Frame]) -> int:
     *_, last = extract(pictures, MotionConfig(), start_time=START)
     return last.frames
+
+
+def _to_segments(film: Path) -> int:
+    """From the file to the bytes that the log stores."""
+    for step in extract(frames(film), MotionConfig(), start_time=START):
+        for batch in step.batches:
+            encode_payload(batch)
+    return step.frames
+
+
+def _film(pictures: Sequence[Frame], path: Path) -> Path:
+    """A file of these pictures, 10 a second."""
+    height, width = pictures[0].image.shape[:2]
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("mpeg4", rate=10, options={"qscale": "3", "flags": "+qscale"})
+        stream.height, stream.width, stream.pix_fmt = height, width, "yuv420p"
+        for picture in pictures:
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(picture.image, format="bgr24")))
+        container.mux(stream.encode(None))
+    return path
+
+
+@contextmanager
+def _one_processor() -> Iterator[None]:
+    """This process and its decoder share one processor, where the system lets them be bound (Linux)."""
+    if not hasattr(os, "sched_setaffinity"):
+        yield
+        return
+    before = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {min(before)})
+    try:
+        yield
+    finally:
+        os.sched_setaffinity(0, before)
 
 
 def _subtracted(pictures: list[Frame]) -> int:

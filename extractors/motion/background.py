@@ -45,7 +45,9 @@ GREY_SHARE = 0.99
 """A picture is grey where this share of its pixels is."""
 YOUNG_SHARE = 0.5
 """The time constant of a new model, of the configured one, to which it grows as time goes by."""
-UNCHANGED_MIN = 0.5
+SPECKLE = 5
+"""Width of the median filter that leaves out rain and noise where the light is judged, px of the analysed picture."""
+UNCHANGED_MIN = 0.7
 """Where more of the foreground's edges than this share are the background's, the light changed and nothing came."""
 GHOST_CHECK_S = 0.5
 """Time between two looks whether what stands is there at all."""
@@ -108,6 +110,11 @@ class Background:
         ghosts = held.ghosts(levelled, mask) if self._is_ghost_check_due(dt_s) else frozenset()
         return Foreground(mask, share, is_light_change=False, ghosts=ghosts)
 
+    def known(self) -> Image | None:
+        """The empty scene as far as it is known; None where the model has just begun anew."""
+        background = self._subtractor.getBackgroundImage()
+        return None if background is None else np.asarray(background, np.uint8)
+
     def _levelled(self, image: Image, dt_s: float) -> Image:
         """The picture with the tones of the background, channel by channel."""
         self._step = max(1, round(math.sqrt(image.shape[0] * image.shape[1] / TONE_SAMPLES)))
@@ -139,7 +146,10 @@ class Background:
         """Whether so much is foreground, or so much that shows the edges of the background, that it is the light."""
         if share <= self._config.light_check_share or share > self._config.light_share_max:
             return share > self._config.light_share_max
-        return unchanged_share(image, self._dominant(image), mask) > UNCHANGED_MIN
+        calm = np.asarray(cv2.medianBlur(mask, SPECKLE), np.uint8)  # rain shows the edges behind it
+        if cv2.countNonZero(calm) <= self._config.light_check_share * calm.size:
+            return False
+        return unchanged_share(image, self._dominant(image), calm) > UNCHANGED_MIN
 
     def _is_ghost_check_due(self, dt_s: float) -> bool:
         self._ghost_check_s += dt_s
@@ -155,9 +165,9 @@ class Background:
         """
         ratio = self._subtractor.getBackgroundRatio()
         self._subtractor.setBackgroundRatio(0.5)
-        background = self._subtractor.getBackgroundImage()
+        known = self.known()
         self._subtractor.setBackgroundRatio(ratio)
-        return image if background is None else np.asarray(background, np.uint8)
+        return image if known is None else known
 
 
 def unchanged_share(image: Image, background: Image, mask: Mask) -> float:

@@ -116,6 +116,11 @@ class MotionConfig(BaseModel):
     """... in this many frames at least ..."""
     confirm_path: Annotated[float, Field(ge=0)] = 0.4
     """... and moved so far from its beginning, in object sizes: leaves, noise and ghosts do not"""
+    sway_share: Share = 0.015
+    """how far leaves in the wind and the like go to and fro, of the picture's height ..."""
+    sway_max: Share = 0.6
+    """... a track is not confirmed while more than this share of what was seen of it may be the background from so
+    near"""
     forget_s: Positive = 0.25
     """a tentative track not seen for longer is dropped, s"""
     lost_s: Positive = 2.0

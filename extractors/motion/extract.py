@@ -30,6 +30,7 @@ from extractors.motion.ignored import IgnoredArea
 from extractors.motion.shake import Shake
 from extractors.motion.sizes import SizePrior
 from extractors.motion.steadiness import Change, Steadiness, View
+from extractors.motion.sway import Sway
 from extractors.motion.tracks import EndReason, Observed, Tracks
 
 DT_MAX_S = 1.0
@@ -183,6 +184,9 @@ class _Motion:
         found = self._moving(frame, image, dt_s) if self._detector is None else self._modelled(frame, image)
         trusted = None if view.is_doubtful else found.objects
         observed = self._tracks.step(trusted, frame.index, frame.time_us, dt_s)
+        if self._detector is None:
+            self._sway.learn(self._background.known, dt_s)
+            self._tracks.weigh(lambda boxes_xyxy: self._sway.shares(image, found.mask, boxes_xyxy))
         self._tracks.look(lambda boxes_xyxy: described(image, found.mask, boxes_xyxy))
         self._emission.add(frame.index, frame.time_us, observed, self._factor * frame.scale, found.foreground.share)
         return Seen(self._factor, found.foreground, found.blobs_xyxy, observed)
@@ -273,6 +277,7 @@ class _Motion:
         height, width = shrunk(frame.image, self._factor).shape[:2]
         self._shake = Shake(self._config)
         self._background = Background(self._config)
+        self._sway = Sway(self._config)
         self._sizes = None
         self._tracks = Tracks(self._config, width, height, self._next_track_id)
 

@@ -62,6 +62,8 @@ class Track:
     anchor_us: int = field(init=False)
     stood_s: float = 0.0
     """how long it has been near its anchor, s"""
+    sway: float = 0.0
+    """share of it that may be swaying background, 0 to 1: the mean over its views while it is tentative"""
     is_ghost: bool = False
     seen_xywh: npt.NDArray[np.float64] = field(default_factory=lambda: np.zeros(4))
     """the last measured box, `x y w h` px"""
@@ -176,6 +178,19 @@ class Tracks:
             rate = max(1 / track.views, self._config.looks_rate)
             track.looks = here if track.views == 1 else track.looks + rate * (here - track.looks)
 
+    def weigh(self, shares: Callable[[BoxesXyxy], npt.NDArray[np.float64]]) -> None:
+        """Let the tentative tracks take in how far this picture may show the background where they are.
+
+        Args:
+            shares: Gives the share of the foreground in boxes that may be swaying background.
+        """
+        tentative = [track for track in self._alive if track.stage is Stage.TENTATIVE]
+        if not tentative:
+            return
+        found = shares(xyxy(np.array([track.seen_xywh for track in tentative])))
+        for track, share in zip(tentative, found.tolist(), strict=True):
+            track.sway += (share - track.sway) / track.hits
+
     def end_all(self, reason: EndReason) -> tuple[Track, ...]:
         """End every track; the confirmed ones are returned."""
         for track in self._alive:
@@ -265,7 +280,7 @@ class Tracks:
         config = self._config
         is_old = time_us - track.born_us >= config.confirm_s * 1e6 and track.hits >= config.confirm_hits
         has_moved = np.hypot(*(_middle(mean) - track.born_xy)) >= config.confirm_path * scale
-        if track.stage is Stage.TENTATIVE and is_old and has_moved:
+        if track.stage is Stage.TENTATIVE and is_old and has_moved and track.sway <= config.sway_max:
             track.stage = Stage.CONFIRMED
             track.track_id, self._next_id = self._next_id, self._next_id + 1
 

@@ -1,4 +1,4 @@
-"""What cameras outdoors see besides objects: rendered, through the whole method. Nothing of it may become a track."""
+"""What cameras outdoors see besides objects: rendered, through the whole method."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -104,3 +104,65 @@ def test_a_camera_that_shakes_sees_what_one_at_rest_sees(px: float) -> None:
 def test_without_the_undoing_of_shakes_there_would_be_a_swarm() -> None:
     found = watched(shaken(pictures(is_empty=True)[:60], 5.0), MotionConfig(shake_share_max=0))
     assert len(found.ends) > 5
+
+
+def leaves(images: list[Image]) -> Iterator[Image]:
+    """A tree in the wind at the right."""
+    random = np.random.default_rng(2)
+    height, width = images[0].shape[:2]
+    middles = random.uniform((0.6 * width, 0.05 * height), (0.95 * width, 0.45 * height), (60, 2))
+    phases, paces = random.uniform(0, 2 * np.pi, 60), random.uniform(0.7, 1.6, 60)
+    colours = random.integers(20, 120, (60, 3)).tolist()
+    for i, image in enumerate(images):
+        sway = 3 * (0.6 + 0.4 * np.sin(0.15 * i)) * np.sin(0.2 * np.pi * paces * i + phases)
+        picture = image.copy()
+        for (x, y), by, colour in zip(middles, sway, colours, strict=True):
+            cv2.circle(picture, (round(x + by), round(y + 0.4 * by)), 4, colour, -1, cv2.LINE_AA)
+        yield picture
+
+
+def rain(images: list[Image]) -> Iterator[Image]:
+    random = np.random.default_rng(3)
+    for image in images:
+        picture = image.copy()
+        for x, y, length in random.uniform((0, -20, 6), (image.shape[1], image.shape[0], 20), (60, 3)):
+            end = (round(x + 0.15 * length), round(y + length))
+            cv2.line(picture, (round(x), round(y)), end, (205, 205, 210), 1, cv2.LINE_AA)
+        yield np.asarray(cv2.addWeighted(picture, 0.7, image, 0.3, 0), np.uint8)
+
+
+def night(images: list[Image]) -> Iterator[Image]:
+    """A quarter of the light, and as much noise as a small sensor makes of it."""
+    random = np.random.default_rng(4)
+    for image in images:
+        yield np.asarray(np.clip(0.25 * image + random.normal(0, 10, image.shape), 0, 255), np.uint8)
+
+
+def test_leaves_in_the_wind_are_no_swarm() -> None:
+    found = watched(leaves(pictures(is_empty=True)[:100]))
+    without = watched(leaves(pictures(is_empty=True)[:100]), MotionConfig(sway_max=1))
+    assert len(without.rows) > 100
+    assert len(found.rows) < 0.1 * len(without.rows)
+
+
+def test_the_noise_of_the_night_is_nothing() -> None:
+    assert not watched(night(pictures(is_empty=True)[:60])).batches
+
+
+def test_people_are_seen_through_rain() -> None:
+    found = scores_of(watched(rain(pictures())))
+    assert found.switches <= 1
+    assert found.mota > 0.75
+
+
+def test_what_stood_for_so_long_that_it_became_background_leaves_no_ghost_behind() -> None:
+    lorry = next(actor for actor in SMALL.actors if actor.kind == "vehicle")
+    (_, east, north), (_, to_east, to_north) = lorry.waypoints
+    middle = (east + to_east) / 2, (north + to_north) / 2
+    way = ((1.0, east, north), (3.0, *middle), (13.0, *middle), (15.0, to_east, to_north))
+    parking = replace(SMALL, actors=(replace(lorry, waypoints=way),), seconds=22)
+    found = watched(scene.render(parking), MotionConfig(stand_max_s=4, absorb_s=3, memory_s=12))
+    frame = found.column("frame")
+    assert np.isin([25, 135], frame).all()  # it was seen to come and to leave,
+    assert not (frame == 125).any()  # was background before,
+    assert not (frame > 170).any()  # and nothing is left of it
