@@ -156,7 +156,7 @@ def _pets_ground(data: Path, video: Watched) -> Iterator[Row]:
     """Annotated feet by the calibration that the video's own tracks give, beside the published one."""
     truth = read_boxes(data / PETS / "PETS2009-S2L1.xml", fps=PETS_FPS)
     size = video.info.width, video.info.height
-    calibrated = TrackCalibration().calibrate(video.boxes, *size)
+    calibrated = TrackCalibration(is_of_blobs=True).calibrate(video.boxes, *size)
     found = None
     if calibrated is not None:
         feet = truth.feet_xy * [size[0] / PETS_SIZE[0], size[1] / PETS_SIZE[1]]

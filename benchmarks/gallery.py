@@ -122,7 +122,7 @@ def _write(overlay: Overlay, chosen: Sequence[HorizonEstimator], file: Path) -> 
 def _places(data: Path, video: Watched) -> tuple[list[Floats], list[Floats]]:
     """Ways of the annotated feet on the ground, m: by the published calibration, and by that of the tracks."""
     true = read_boxes(data / PETS / "PETS2009-S2L1.xml", fps=PETS_FPS)
-    found = TrackCalibration().calibrate(video.boxes, video.info.width, video.info.height)
+    found = TrackCalibration(is_of_blobs=True).calibrate(video.boxes, video.info.width, video.info.height)
     assert found is not None, "the clip decides its camera"
     feet = true.feet_xy * [video.info.width / PETS_SIZE[0], video.info.height / PETS_SIZE[1]]
     published = read_camera(data / PETS / "View_001.xml").ground_of(true.feet_xy)

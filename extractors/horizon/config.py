@@ -149,7 +149,7 @@ class HorizonConfig(BaseModel):
         They are outlines of what differs from the background: gaps of 0.02 of the frame's height are closed, a
         shadow may be left on, and far feet, which are a pixel or two, go unseen. They are of bodies, not computed.
         """
-        return cls(bias_lines=0.012, depth=0.15, depth_spread=0.03)
+        return cls(bias_lines=0.012, depth=0.18, depth_spread=0.04)
 
     @property
     def config_hash(self) -> bytes:

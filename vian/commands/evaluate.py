@@ -132,7 +132,7 @@ def ground(
     true = read_boxes(truth, fps=fps, is_truth=True)
     _check_within(truth, true, size)
     boxes, own = (None, None) if found is None else _found(found, fps, size)
-    tested = _calibration(calibration, found, boxes, own or size)
+    tested = _calibration(calibration, found, boxes, own or size, is_of_blobs=own is not None)
     named = calibration or found
     assert named is not None, "one of them was given"
     check_proportions(named, (tested.width, tested.height), size)
@@ -163,14 +163,16 @@ def _tell(output: Output, feet: str, measured: "GroundScores | None", named: Pat
     )
 
 
-def _calibration(file: Path | None, found: Path | None, boxes: "Boxes | None", size: tuple[int, int]) -> "Calibration":
+def _calibration(
+    file: Path | None, found: Path | None, boxes: "Boxes | None", size: tuple[int, int], *, is_of_blobs: bool
+) -> "Calibration":
     """The calibration of the file, or the one that tracks give."""
     from vian.evaluation.calibrations import TrackCalibration, read_calibration
 
     if file is not None:
         return read_calibration(file)
     assert boxes is not None, "there are tracks where there is no file"
-    calibrated = TrackCalibration().calibrate(boxes, *size)
+    calibrated = TrackCalibration(is_of_blobs=is_of_blobs).calibrate(boxes, *size)
     if calibrated is None:
         raise WorldFailed(
             f"{found}: its {len(boxes)} boxes do not decide the camera: too few upright tracks, or too little between "

@@ -11,7 +11,6 @@ import typer
 
 from extractors.addresses import Address, parsed
 from extractors.calibration import CalibrationConfig, Scale
-from extractors.horizon import HorizonConfig
 from extractors.live import LiveLimits
 from extractors.media import Shape
 from extractors.motion import Detector, MotionConfig, read_ignored_area
@@ -99,6 +98,7 @@ def motion(
         is_without_horizon,
         is_without_calibration,
         extract_calibration.scale_of(camera_height_m, length, person_height_m, CalibrationConfig()),
+        is_of_blobs=model is None,
     )
     started_at = time_of("--start", start)
     if start is not None and started_at is not None and not has_zone(start):
@@ -216,11 +216,12 @@ def _place(video: str, login_file: Path | None) -> Path | Address:
     return place.with_login(login)
 
 
-def _camera(is_without_horizon: bool, is_without_calibration: bool, scale: Scale) -> CameraConfig:
+def _camera(is_without_horizon: bool, is_without_calibration: bool, scale: Scale, *, is_of_blobs: bool) -> CameraConfig:
     """What is to be found of the camera."""
+    calibration = CalibrationConfig() if is_of_blobs else CalibrationConfig.of_boxes()
     return CameraConfig(
-        horizon=None if is_without_horizon else HorizonConfig.of_blobs(),
-        calibration=None if is_without_calibration else CalibrationConfig(),
+        horizon=None if is_without_horizon else calibration.camera,
+        calibration=None if is_without_calibration else calibration,
         scale=scale,
     )
 

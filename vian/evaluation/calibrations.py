@@ -48,11 +48,19 @@ class Calibrator(Protocol):
 
 
 class TrackCalibration:
-    """The calibrator that ships: `extractors.calibration`, with its default parameters."""
+    """The calibrator that ships: `extractors.calibration`, with its parameters for the kind of boxes."""
+
+    def __init__(self, *, is_of_blobs: bool) -> None:
+        """Choose the parameters.
+
+        Args:
+            is_of_blobs: Whether the boxes are those of the motion extractor; else of detectors and annotators.
+        """
+        self._config = CalibrationConfig() if is_of_blobs else CalibrationConfig.of_boxes()
 
     def calibrate(self, boxes: Boxes, width: int, height: int) -> Calibration | None:
         """The last calibration that it says, or none."""
-        fold = CalibrationFold(CalibrationConfig(), (width, height))
+        fold = CalibrationFold(self._config, (width, height))
         fold.add_points(boxes.time_us, boxes.track_id, boxes.xyxy, boxes.confidence)
         said = [event for batch in fold.finish() for event in events_of(batch)]
         if not said:
