@@ -44,6 +44,7 @@ def walks(
     noise_share: float = 0.0,
     height_spread_m: float = 0.09,
     speed_spread: float = 0.2,
+    depth: float = 0.0,
     seed: int = 1,
 ) -> Walks:
     """People who cross the ground that the camera sees.
@@ -56,6 +57,7 @@ def walks(
         noise_share: Standard deviation of each edge of a box, of the box's height.
         height_spread_m: Standard deviation of people's heights around 1.70 m.
         speed_spread: Standard deviation of the logarithm of people's speeds around 1.3 m/s.
+        depth: How far the top of a box is behind its foot on the ground, of the height; 0: people are lines.
         seed: Of everything that is drawn.
     """
     random = np.random.default_rng(seed)
@@ -73,7 +75,7 @@ def walks(
         )
     table = np.concatenate(parts)
     table = table[np.lexsort((table[:, 1], table[:, 0]))]
-    boxes = boxes_of(camera, table[:, 2:4], table[:, 4])
+    boxes = boxes_of(camera, table[:, 2:4], table[:, 4], depth)
     boxes = boxes + noise_share * (boxes[:, 3] - boxes[:, 1])[:, None] * random.normal(size=boxes.shape)
     seen = np.isfinite(boxes).all(axis=1)
     seen &= (boxes[:, 0] > 0) & (boxes[:, 1] > 0) & (boxes[:, 2] < camera.width) & (boxes[:, 3] < camera.height)
@@ -88,11 +90,12 @@ def walks(
     )
 
 
-def boxes_of(camera: Camera, feet_enu: Floats, heights_m: Floats) -> Floats:
+def boxes_of(camera: Camera, feet_enu: Floats, heights_m: Floats, depth: float = 0.0) -> Floats:
     """Boxes of upright people who stand there, `(n, 4)`; their width is 0.4 of their height."""
     ground = np.column_stack([feet_enu, np.zeros(len(feet_enu))])
     foot = camera.project(ground)
-    head = camera.project(ground + np.array([0.0, 0.0, 1.0]) * heights_m[:, None])
+    away = ground / np.hypot(*feet_enu.T)[:, None] * depth + np.array([0.0, 0.0, 1.0])
+    head = camera.project(ground + away * heights_m[:, None])
     middle, half = (foot[:, 0] + head[:, 0]) / 2, 0.2 * (foot[:, 1] - head[:, 1])
     return np.column_stack([middle - half, head[:, 1], middle + half, foot[:, 1]])
 

@@ -32,7 +32,13 @@ def write_rule(path: Path, *, name: str = "high", version: int = 1, x: int = 5) 
 
 def test_files_and_folders_of_rules_are_loaded_in_order(tmp_path: Path) -> None:
     own = write_rule(tmp_path / "high.yaml")
-    assert [rule.rule for rule in load_all([own, SHIPPED])] == ["high", "line-crossing", "loitering", "zone-intrusion"]
+    assert [rule.rule for rule in load_all([own, SHIPPED])] == [
+        "high",
+        "line-crossing",
+        "loitering",
+        "speeding",
+        "zone-intrusion",
+    ]
 
 
 def test_two_rules_of_one_name_are_refused_with_their_places(tmp_path: Path) -> None:

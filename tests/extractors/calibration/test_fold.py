@@ -179,6 +179,6 @@ def test_the_annotated_clip_is_calibrated(vian_data: Path) -> None:
     run.finish()
     assert run.said is not None
     camera = run.said.camera
-    assert camera.focal_px == pytest.approx(744, rel=0.15)
+    assert camera.focal_px == pytest.approx(744, rel=0.2)
     assert camera.height_m == pytest.approx(7.07, rel=0.12)
-    assert camera.pitch_rad == pytest.approx(0.288, abs=0.04)
+    assert camera.pitch_rad == pytest.approx(0.288, abs=0.06)

@@ -54,7 +54,7 @@ def add_video(log: Log) -> None:
 
 def walk(log: Log, camera: Camera) -> None:
     """Let people cross the view of the camera, whose frames are as large as those of `add_video`."""
-    seen = walks(camera, people=9, seconds=12, noise_share=0.01)
+    seen = walks(camera, people=9, seconds=12, noise_share=0.01, depth=0.18)
     points = []
     for at in range(len(seen.time_us)):
         x1, y1, x2, y2 = seen.boxes_xyxy[at].tolist()
@@ -93,7 +93,7 @@ def test_a_camera_is_calibrated_from_its_tracks_once(calibrate: Calibrate, log: 
     named = told_position(log)
     every = rows(log, "select * from track_ground order by time, track_id", calibration=named)
     assert {row["calibration_position"] for row in every} == {named}
-    seen = walks(camera, people=9, seconds=12, noise_share=0.01)
+    seen = walks(camera, people=9, seconds=12, noise_share=0.01, depth=0.18)
     mapped = np.array([(row["ground_x"], row["ground_y"]) for row in every])
     told_m = np.array([(row["ground_x_deviation"], row["ground_y_deviation"]) for row in every])
     assert np.median(np.hypot(*(mapped - seen.feet_enu).T) / np.hypot(*told_m.T)) < 2

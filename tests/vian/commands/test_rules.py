@@ -26,13 +26,13 @@ def test_the_shipped_rules_pass_their_tests(run: Run) -> None:
     ran = run("rules", "check", SHIPPED)
     assert ran.code == 0
     assert "zone-intrusion v1, one track walks in" in ran.out
-    assert ran.out.count(": passed") == 5
+    assert ran.out.count(": passed") == 6
 
 
 def test_check_prints_json(run: Run) -> None:
     ran = run("rules", "check", SHIPPED, "--json")
     results = [json.loads(line) for line in ran.out.splitlines()]
-    assert {result["rule"] for result in results} == {"line-crossing", "loitering", "zone-intrusion"}
+    assert {result["rule"] for result in results} == {"line-crossing", "loitering", "speeding", "zone-intrusion"}
     assert all(result["passed"] for result in results if "passed" in result)
 
 

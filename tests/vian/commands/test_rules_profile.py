@@ -14,7 +14,7 @@ def test_each_rule_has_its_cost_and_its_state(log: Log, run: Run, tmp_path: Path
     ran = run("rules", "profile", SHIPPED, write_rule(tmp_path / "high.yaml"), "--dsn", log.dsn, "--json")
     assert ran.code == 0
     costs = {each["rule"]: each for each in map(json.loads, ran.out.splitlines())}
-    assert list(costs) == ["line-crossing", "loitering", "zone-intrusion", "high"]
+    assert list(costs) == ["line-crossing", "loitering", "speeding", "zone-intrusion", "high"]
     assert {each["events"] for each in costs.values()} == {36}
     assert costs["high"]["situations"] == 36
     assert set(costs["high"]["shares"]) == {"ordering", "predicates", "matcher", "emission"}
