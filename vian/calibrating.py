@@ -28,9 +28,9 @@ from events import (
     station_name,
 )
 from extractors.calibration import NAME, VERSION, CalibrationConfig, KnownLength, Scale
-from extractors.horizon import FrameSize
+from extractors.horizon import OTHER_VIEWS, FrameSize
 from store import Log
-from vian.camera_folds import OTHER_VIEWS, CameraConfig, CameraFolds
+from vian.camera_folds import CameraConfig, CameraFolds
 from vian.errors import WorldFailed, WrongUsage
 from vian.exclusive import exclusively
 from vian.zoning import frame_size_of

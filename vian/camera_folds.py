@@ -18,11 +18,9 @@ from numpy.typing import NDArray
 
 from events import CameraCalibrated, EventBatch, SceneChanged, TrackPoint, batch_of, events_of
 from extractors.calibration import VERSION, CalibrationConfig, CalibrationFold, KnownLength, Scale
+from extractors.horizon import OTHER_VIEWS, FrameSize, Horizon, HorizonConfig
 from extractors.horizon import VERSION as HORIZON_VERSION
-from extractors.horizon import FrameSize, Horizon, HorizonConfig
 
-OTHER_VIEWS = frozenset({"moved", "unknown"})
-"""Causes of `scene_changed` after which tracks may be seen from elsewhere: what is found next rests on new ones."""
 AGREEMENT_DEVIATIONS = 3.7
 """All four numbers of two calibrations of one camera differ by less, in standard deviations of their differences, in
 999 of 1,000 cases (normal distribution, Bonferroni); those of a camera that was turned differ by far more."""

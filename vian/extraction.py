@@ -234,6 +234,7 @@ def _extract(job: Job, path: Path, info: VideoInfo) -> Extraction:
 def process_name(job: Job, video_hash: str) -> str:
     """Name of the process: 16 hexadecimal digits of a hash of what goes into it."""
     said: list[Any] = [job.source, video_hash, motion.NAME, motion.VERSION, job.config.config_hash.hex(), job.run]
+    said.append(job.camera.description)
     if job.options:
         said.append(job.options)
     return hashlib.sha256(json.dumps(said).encode()).hexdigest()[:16]

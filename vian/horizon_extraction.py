@@ -112,7 +112,7 @@ def _extract(job: HorizonJob) -> HorizonExtraction:
             f"the log holds no track points of source {job.source} of station {job.station}. "
             f"Next: vian extract motion VIDEO --source {job.source}"
         )
-    started, at = _unfinished(job) or _begun(job, process_name(job, points), video[0])
+    started, at = (_unfinished(job) if job.run == 1 else None) or _begun(job, process_name(job, points), video[0])
     done = _of_process(job, ProcessFinished, started.process)
     finished = done[0] if done else _finished(job, started.process, at, video[0].started_at)
     estimate = _newest(job, HorizonEstimate)

@@ -121,6 +121,9 @@ class CalibrationFold:
         except CalibrationError as error:
             self._reason = str(error)
             return
+        except (np.linalg.LinAlgError, OverflowError) as error:
+            self._reason = f"what is known of the camera contradicts its tracks: {error}"
+            return
         self._reason = self._doubt(camera) or ("" if is_last else self._sameness(camera))
         if not self._reason:
             self._said = camera

@@ -71,7 +71,10 @@ class KnownLength:
             return 100.0
         moved = np.repeat(ends[None], 4, axis=0)
         moved[np.arange(4), np.arange(4) // 2, np.arange(4) % 2] += PIXEL_DEVIATION
-        changes = [math.log(_length(camera, each) / found) for each in moved]
+        lengths = [_length(camera, each) for each in moved]
+        if not min(lengths) > 0:
+            return 100.0
+        changes = [math.log(length / found) for length in lengths]
         deviation = math.sqrt(sum(change * change for change in changes))
         if not math.isfinite(deviation) or deviation <= 0:
             return 100.0

@@ -3,11 +3,12 @@
 from extractors.horizon.camera import FrameSize, Line
 from extractors.horizon.config import NAME, VERSION, HorizonConfig
 from extractors.horizon.fit import Fit
-from extractors.horizon.fold import Estimate, Horizon, estimated
+from extractors.horizon.fold import OTHER_VIEWS, Estimate, Horizon, estimated
 from extractors.horizon.points import TrackPoints
 
 __all__ = [
     "NAME",
+    "OTHER_VIEWS",
     "VERSION",
     "Estimate",
     "Fit",

@@ -27,6 +27,8 @@ STARTS: Final = tuple(
     (np.radians(tilt), np.radians(roll)) for tilt, roll in ((5, 0), (25, -12), (25, 0), (25, 12), (45, 0))
 )
 """Tilt and roll, rad, from which the best camera is sought: no view is farther than a few steps from one of them."""
+OTHER_VIEWS: Final = frozenset({"moved", "unknown"})
+"""Causes of `scene_changed` after which tracks may be seen from elsewhere: what is found next rests on new ones."""
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 
@@ -75,10 +77,10 @@ class Horizon:
         self._held = points[int(starts[-1]) :] if len(starts) else None
 
     def take_in(self, batch: EventBatch) -> None:
-        """Heed a batch of events of the source: track points, and that the camera was moved; others say nothing."""
+        """Heed a batch of events of the source: track points, and that the view may be another; others say nothing."""
         if batch.type is TrackPoint:
             self.add(TrackPoints.of(batch))
-        elif batch.type is SceneChanged and "moved" in batch.data.column("cause").to_pylist():
+        elif batch.type is SceneChanged and OTHER_VIEWS & set(batch.data.column("cause").to_pylist()):
             self.forget()
 
     def forget(self) -> None:

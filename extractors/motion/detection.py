@@ -39,6 +39,10 @@ class Detections:
         """Boxes that are what they seem, of unknown looks."""
         return cls(boxes_xyxy, scores, np.ones(len(scores)), np.full((len(scores), LOOKS), np.nan))
 
+    def where(self, chosen: npt.NDArray[np.bool_]) -> "Detections":
+        """Those that are chosen, `(n,)`."""
+        return Detections(self.boxes_xyxy[chosen], self.scores[chosen], self.doubts[chosen], self.looks[chosen])
+
     def __len__(self) -> int:
         return len(self.scores)
 

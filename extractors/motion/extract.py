@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from events import EventBatch, SceneChanged, batch_of
-from extractors.errors import VideoError
+from extractors.errors import ExtractorError
 from extractors.media import Frame, Gap, GapReason, Image
 from extractors.motion import blobs
 from extractors.motion.appearance import described
@@ -110,7 +110,7 @@ def extract(
 
     Raises:
         DetectorFailed: The detector stopped.
-        VideoError: The frames ended with it; everything certain before was yielded.
+        VideoError: The frames ended with it. Everything certain before either was yielded.
     """
     motion = _Motion(config, start_time, first_track_id, detector, ignored, calibrated)
     gaps: list[Gap] = []
@@ -132,7 +132,7 @@ def extract(
             seen = motion.step(item)
             if on_frame:
                 on_frame(item, seen)
-    except VideoError:
+    except ExtractorError:
         yield motion.taken(gaps)
         raise
     motion.finish()
@@ -208,6 +208,8 @@ class _Motion:
         """What the detector sees in the frame."""
         assert self._detector is not None
         seen = self._detector.detect(frame.image)
+        if self._ignored is not None:
+            seen = seen.where(self._ignored.is_watched(seen.boxes_xyxy, frame.image.shape[1], frame.image.shape[0]))
         boxes = seen.boxes_xyxy / self._factor
         mask = np.full(image.shape[:2], FOREGROUND, np.uint8)
         share = min(1.0, float(blobs.areas(boxes).sum()) / mask.size)

@@ -11,9 +11,11 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from extractors.errors import MaskUnreadable
 from extractors.motion.background import Foreground
+from extractors.motion.blobs import BoxesXyxy
 from extractors.motion.held import Mask
 
 IGNORED_MIN = 128
@@ -55,6 +57,14 @@ class IgnoredArea:
         ignored = cv2.resize(self.mask, size, interpolation=cv2.INTER_NEAREST)
         mask = np.where(ignored > 0, 0, foreground.mask).astype(np.uint8)
         return replace(foreground, mask=mask, share=cv2.countNonZero(mask) / mask.size)
+
+    def is_watched(self, boxes_xyxy: BoxesXyxy, width: int, height: int) -> npt.NDArray[np.bool_]:
+        """Which objects in a picture of this size stand outside of the area, `(n,)`: the middle of the lower edge."""
+        rows, columns = self.mask.shape
+        x = (boxes_xyxy[:, 0] + boxes_xyxy[:, 2]) / 2 * columns / width
+        y = boxes_xyxy[:, 3] * rows / height - 0.5
+        at = np.clip(np.stack([y, x]), 0, [[rows - 1], [columns - 1]]).astype(int)
+        return np.asarray(self.mask[at[0], at[1]] == 0)
 
 
 def read_ignored_area(path: Path) -> IgnoredArea:

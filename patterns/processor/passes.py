@@ -223,7 +223,7 @@ class Pass:
             elif len(part) and member.failure is None and member.metres.asks(source, in_metres):
                 if source not in member.uncalibrated:
                     logger.warning(
-                        "rule %s version %d asks for metres of source %s, which is not calibrated: it finds none. "
+                        "rule %s version %d asks for metres of source %s, not calibrated yet: till then it finds none. "
                         "Next: vian zones calibrate %s POINTS.yaml, let people pass while its extraction runs, or "
                         "leave the source out in the rule's FROM",
                         member.rule.rule, member.rule.version, source, source,

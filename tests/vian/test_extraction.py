@@ -30,7 +30,7 @@ from events import (
     events_of,
 )
 from extractors import video
-from extractors.calibration import CalibrationConfig
+from extractors.calibration import CalibrationConfig, CameraHeight
 from extractors.errors import DecoderDied, MaskUnreadable, VideoUnreadable
 from extractors.horizon import HorizonConfig
 from extractors.media import Frame, Gap, GapReason, Shape
@@ -250,6 +250,12 @@ def test_again_is_a_process_of_its_own_with_tracks_of_its_own(log: Log, clip: Pa
     tracks = [row.track_id for row in said(log, extraction.TrackPoint)]
     assert len(set(tracks[: len(tracks) // 2]) & set(tracks[len(tracks) // 2 :])) == 0
     assert len(said(log, VideoAdded)) == 1
+
+
+def test_another_way_to_metres_is_a_process_of_its_own(log: Log, clip: Path) -> None:
+    first = extract_motion(job(log, clip))
+    other = extract_motion(job(log, clip, camera=CameraConfig(scale=CameraHeight(6.5, 0.1))))
+    assert (other.process == first.process, other.was_done) == (False, False)
 
 
 def test_another_video_on_the_same_source_follows(log: Log, clip: Path, tmp_path: Path) -> None:

@@ -14,6 +14,8 @@ from vian.options import opened, settings_for
 from vian.output import Output
 
 EXAMPLE = "Example: vian extract calibration --source gate --camera-height-m 6.5"
+LENGTH_MIN_PX = 10.0
+"""Nearer points of a known length say nothing: the hand is off by a pixel, px."""
 HEIGHT_DEVIATION_SHARE = 0.02
 """Standard deviation of a height that somebody gives: measured with a tape or read off a plan."""
 
@@ -78,6 +80,10 @@ def _length(text: str) -> KnownLength:
         raise WrongUsage(f"--length must be X1,Y1,X2,Y2,METRES such as 310,420,655,431,7.3, got {text!r}") from error
     if not all(math.isfinite(value) for value in (x1, y1, x2, y2, metres)) or metres <= 0 or (x1, y1) == (x2, y2):
         raise WrongUsage(f"--length must be of two points apart and a length above 0, got {text!r}")
+    if math.hypot(x2 - x1, y2 - y1) < LENGTH_MIN_PX:
+        raise WrongUsage(
+            f"--length must be of points at least {LENGTH_MIN_PX:g} px apart, where a pixel is a tenth, got {text!r}"
+        )
     return KnownLength((x1, y1), (x2, y2), metres)
 
 

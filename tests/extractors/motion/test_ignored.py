@@ -7,7 +7,9 @@ import pytest
 
 from events import TrackPoint
 from extractors.errors import MaskUnreadable
+from extractors.media import Image
 from extractors.motion import MotionConfig, extract, read_ignored_area
+from extractors.motion.detection import Detections
 from extractors.video import frames
 from tests.vian.clips import Walk, write_clip
 
@@ -42,6 +44,21 @@ def test_motion_in_the_white_area_does_not_count(tmp_path: Path) -> None:
     watched = points(video, mask_of(tmp_path / "mask.png", np.s_[:, 80:], (120, 160)))
     assert len(watched) > 10
     assert watched.max() < 170
+
+
+def test_what_a_model_finds_within_the_mask_is_ignored(tmp_path: Path) -> None:
+    area = read_ignored_area(mask_of(tmp_path / "mask.png", np.s_[:, 160:]))
+    boxes = np.array([[10.0, 10, 30, 50], [300, 10, 340, 50], [600, 10, 680, 490]])
+    assert area.is_watched(boxes, 640, 480).tolist() == [True, False, False]
+
+    class Everywhere:
+        def detect(self, image: Image) -> Detections:
+            return Detections.clear(boxes / 2, np.ones(3))
+
+    clip = write_clip(tmp_path / "clip.mp4")
+    steps = extract(frames(clip), MotionConfig(), start_time=START, detector=Everywhere(), ignored=area)
+    found = [batch.data.column("x") for step in steps for batch in step.batches if batch.type is TrackPoint]
+    assert {round(x.as_py()) for column in found for x in column} == {10}
 
 
 def test_a_mask_of_another_shape_is_refused(tmp_path: Path) -> None:
