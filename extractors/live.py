@@ -106,7 +106,11 @@ class Live:
                 yield self._gap(GapReason.INTERRUPTED, f"the live stream is interrupted: {self._why}")
                 before = self.info
                 tries, gone_s = self._reconnect()
+                behind_s = self._caught_up(gone_s)
                 yield self._gap(GapReason.RESUMED, f"the live stream is back after {gone_s:.1f} s, at attempt {tries}")
+                if behind_s:
+                    said = f"the clock is {behind_s:.1f} s behind after the break: times go on from it"
+                    yield self._gap(GapReason.TIME_JUMPED, said)
                 now = self.info
                 if (now.width, now.height) != (before.width, before.height):
                     sizes = f"from {before.width}x{before.height} to {now.width}x{now.height} px"
@@ -132,6 +136,19 @@ class Live:
             self._why = str(error)
         if time.monotonic() - began_s > self._limits.stall_s:
             self._pause_s = self._limits.retry_s_min  # it held for a while: not one failure after another
+
+    def _caught_up(self, gone_s: float) -> float:
+        """Let times go on behind the break where the new connection's clock is not yet there; how far it is behind, s.
+
+        The camera's clock may be believed on one connection and not on the next, and this machine's may be set back
+        meanwhile: without this no time would pass until the clock has caught up.
+        """
+        due_us = self._last_us + round(1e6 * gone_s)
+        behind_us = due_us - (self._first_us - self._zero_us)
+        if self._first_us - self._zero_us > self._last_us:
+            return 0.0
+        self._zero_us -= behind_us
+        return behind_us / 1e6
 
     def _heed_size(self, frame: Frame) -> None:
         height, width = (round(side * frame.scale) for side in frame.image.shape[:2])

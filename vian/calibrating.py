@@ -6,6 +6,7 @@ Track points are never touched: what they mean on the ground is a query (`track_
 writers: people calibrate a camera while its extraction runs.
 """
 
+import json
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime
@@ -15,6 +16,7 @@ from events import (
     CameraCalibrated,
     EventBatch,
     EventType,
+    ProcessStarted,
     Producer,
     SceneChanged,
     StreamName,
@@ -27,6 +29,7 @@ from events import (
     source_name,
     station_name,
 )
+from extractors import motion
 from extractors.calibration import NAME, VERSION, CalibrationConfig, KnownLength, Scale
 from extractors.horizon import OTHER_VIEWS, FrameSize
 from store import Log
@@ -91,6 +94,18 @@ def calibrate_from_tracks(
             producer = Producer(NAME, VERSION, config.config_hash)
             log.append([encode(stream, batch_of(new), producer)], [log.stream_head(stream).sequence])
         return Calibrating(points, found[-1] if found else None, len(new), folds.reason)
+
+
+def config_for(log: Log, station: str, source: str) -> CalibrationConfig:
+    """The parameters for the boxes of the source's newest extraction: a model's, or blobs.
+
+    Raises:
+        InvalidName: The station or the source cannot be one.
+    """
+    stream = StreamName.of(station, source, ProcessStarted.type_name)
+    started = [event for event, _ in _said(log, stream, ProcessStarted) if event.extractor == motion.NAME]
+    is_of_a_model = bool(started) and json.loads(started[-1].configuration).get("detector") is not None
+    return CalibrationConfig.of_boxes() if is_of_a_model else CalibrationConfig()
 
 
 def unsaid(log: Log, stream: StreamName, found: Sequence[CameraCalibrated]) -> list[CameraCalibrated]:

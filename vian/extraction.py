@@ -199,9 +199,15 @@ def _alone(job: Job) -> AbstractContextManager[None]:
 
 
 def _extract_live(job: Job, live: Live) -> Extraction:
+    assert isinstance(job.path, Address)
     _check_fits(job, live.info)
     started_at = _checked_start(job.started_at or live.started_at)
     added = _live_added(job, live.info, started_at)
+    if job.started_at is not None and _find(job, VideoAdded, added.video) is not None:
+        raise WrongUsage(
+            f"source {job.source} has footage of {job.path.shown} that began at {started_at.isoformat()}: times would "
+            "come twice. Next: leave --start out; a live stream says its time itself"
+        )
     process = process_name(job, added.video)
     _give_up_unfinished(job, added, process)
     _append_first(job, added)

@@ -69,6 +69,21 @@ def test_a_stream_whose_clock_is_wrong_has_this_machines_time_and_says_so() -> N
     assert "own clock is -36" in gap.detail
 
 
+def test_time_goes_on_where_the_clock_is_behind_after_a_break() -> None:
+    """The camera says the same time again at each connection, as one whose clock is set anew does."""
+    ahead = datetime.now(UTC) + timedelta(seconds=8)
+    with rtsp(Camera(frames=40, says_ntp=ahead.timestamp())) as url:
+        frames, gaps = seen(url, 70)
+    back, jumped = (
+        next(gap for gap in gaps if gap.reason is reason) for reason in (GapReason.RESUMED, GapReason.TIME_JUMPED)
+    )
+    assert "s behind after the break: times go on from it" in jumped.detail
+    after = [frame for frame in frames if frame.index >= back.before_index]
+    assert len(after) > 5
+    assert after[0].time_us > max(frame.time_us for frame in frames if frame.index < back.before_index)
+    assert after[-1].time_us - after[0].time_us >= 35_000 * (after[-1].index - after[0].index)
+
+
 @pytest.mark.parametrize(
     "camera, why",
     [(Camera(frames=40), "the other side ended it"), (Camera(mute_after=40), "said nothing for 1 s")],

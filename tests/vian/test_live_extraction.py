@@ -3,6 +3,7 @@
 import ssl
 from collections.abc import Callable
 from dataclasses import replace
+from datetime import UTC, datetime
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -29,6 +30,7 @@ from extractors.media import Shape
 from store import Log
 from tests.certificates import self_signed
 from tests.extractors.streams import Camera, rtsp
+from vian.errors import WrongUsage
 from vian.extraction import Job, extract_motion
 
 LIMITS = LiveLimits(connect_s=20, stall_s=1, retry_s_min=0.1, retry_s_max=0.4)
@@ -113,6 +115,16 @@ def test_after_a_kill_the_next_run_goes_on_and_says_what_is_missing(log: Log) ->
     assert points[: len(before)] == before
     assert all(a.time <= b.time for a, b in pairwise(points))
     assert not {p.track_id for p in before} & {p.track_id for p in points[len(before) :]}
+
+
+def test_a_live_stream_does_not_begin_at_the_same_time_twice(log: Log) -> None:
+    start = datetime(2026, 1, 1, tzinfo=UTC)
+    with rtsp(Camera()) as url:
+        extract_motion(job(log, url, started_at=start, **until(5)))
+        head = log.head()
+        with pytest.raises(WrongUsage, match=r"began at 2026-01-01T00:00:00\+00:00: .*Next: leave --start out"):
+            extract_motion(job(log, url, started_at=start, **until(5)))
+    assert log.head() == head
 
 
 def test_a_camera_that_never_answers_leaves_no_trace(log: Log) -> None:

@@ -17,6 +17,7 @@ from extractors.motion import Detector, MotionConfig, read_ignored_area
 from extractors.motion.onnx import OnnxDetector
 from store import Projector
 from vian import options
+from vian.calibrating import config_for
 from vian.camera_folds import CameraConfig
 from vian.commands import extract_calibration
 from vian.errors import WrongUsage
@@ -169,6 +170,7 @@ def horizon(
             log=log,
             station=settings.station,
             source=source,
+            config=config_for(log, settings.station, source).camera,
             run=again,
             database_wait_s=settings.database_wait_s,
             on_note=output.note,

@@ -8,7 +8,7 @@ import typer
 from extractors.calibration import CalibrationConfig, CameraHeight, KnownLength, PersonHeight, Scale
 from store import Projector
 from vian import options
-from vian.calibrating import Calibrating, calibrate_from_tracks
+from vian.calibrating import Calibrating, calibrate_from_tracks, config_for
 from vian.errors import WrongUsage
 from vian.options import opened, settings_for
 from vian.output import Output
@@ -44,10 +44,10 @@ def calibration(
     as_json: options.Json = False,
 ) -> None:
     """Calibrate a camera from the upright people among its tracks: from then on rules have metres."""
-    config = CalibrationConfig()
-    scale = scale_of(camera_height_m, length, person_height_m, config)
+    scale = scale_of(camera_height_m, length, person_height_m, CalibrationConfig())
     settings = settings_for(data_dir, dsn, station=station)
     with opened(settings, data_dir=data_dir) as log:
+        config = config_for(log, settings.station, source)
         done = calibrate_from_tracks(log, settings.station, source, config, scale)
         Projector(log).catch_up()
     _report(Output(is_json=as_json), source, done)
