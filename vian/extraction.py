@@ -211,6 +211,7 @@ def _extract_live(job: Job, live: Live) -> Extraction:
     process = process_name(job, added.video)
     _give_up_unfinished(job, added, process)
     _append_first(job, added)
+    _say_back(job, added)
     position = _start(job, added, process)[1]
     return _Run(job, live.info, added, process, position, live).whole(live.frames())
 
@@ -399,7 +400,9 @@ class _Run:
         standing = standing_calibration(job.log, job.station, job.source)
         if standing is not None and standing.covariance is None:
             return []
-        new = unsaid(job.log, stream, found)
+        # What was withheld before the camera was moved, as its place was calibrated by hand, is not said after.
+        moves = [event.time for event, at in _said(job, SceneChanged) if event.cause == "moved" and at > self._at_start]
+        new = [event for event in unsaid(job.log, stream, found) if not moves or event.time > max(moves)]
         self._appender.resume_at(stream, job.log.stream_head(stream).sequence)
         return [(stream, batch_of(new))] if new else []
 
@@ -527,6 +530,14 @@ def _say_interrupted(job: Job, added: VideoAdded, killed: ProcessStarted, progre
     why = f"process {killed.process} came to no end: it was killed, or the machine stopped"
     _append_first(job, StreamInterrupted(time=last, video=killed.video, why=why))
     _append_first(job, StreamResumed(time=added.started_at, video=added.video, interrupted_at=last))
+
+
+def _say_back(job: Job, added: VideoAdded) -> None:
+    """Say that the stream is back, where a process ended while it was away."""
+    lost = _newest(job, StreamInterrupted)
+    if lost is not None and all(back.interrupted_at != lost.time for back, _ in _said(job, StreamResumed)):
+        time = max(added.started_at, lost.time)
+        _append_first(job, StreamResumed(time=time, video=added.video, interrupted_at=lost.time))
 
 
 def _start(job: Job, added: VideoAdded, process: str) -> tuple[ProcessStarted, int]:

@@ -117,6 +117,18 @@ def test_after_a_kill_the_next_run_goes_on_and_says_what_is_missing(log: Log) ->
     assert not {p.track_id for p in before} & {p.track_id for p in points[len(before) :]}
 
 
+def test_a_stream_that_was_away_when_its_process_ended_is_said_to_be_back(log: Log) -> None:
+    notes: list[str] = []
+    with rtsp(Camera(frames=40)) as url:
+        gone = {"on_note": notes.append, "is_stopped": lambda: any("is interrupted" in note for note in notes)}
+        extract_motion(job(log, url, **gone))
+        assert (len(said(log, StreamInterrupted)), said(log, StreamResumed)) == (1, [])
+        extract_motion(job(log, url, **until(10)))
+    (lost,), (back,) = said(log, StreamInterrupted), said(log, StreamResumed)
+    assert back.interrupted_at == lost.time <= back.time
+    assert back.video == said(log, VideoAdded)[-1].video
+
+
 def test_a_live_stream_does_not_begin_at_the_same_time_twice(log: Log) -> None:
     start = datetime(2026, 1, 1, tzinfo=UTC)
     with rtsp(Camera()) as url:
