@@ -344,7 +344,7 @@ class _Run:
         """Append what was found, with what is to be said of the step, in one transaction."""
         self._events += sum(len(batch) for batch in found)
         of_the_step = [*self._remarks(step), *self._of_the_stream(step.gaps)] if step is not None else []
-        self._append([*found, *of_the_step, *self._of_the_footage()])
+        self._append([*self._of_the_footage(), *found, *of_the_step])
 
     def _of_the_footage(self) -> Iterator[EventBatch]:
         """That the frames have come to another size, which zones and calibrations are laid by."""

@@ -121,7 +121,8 @@ def extract(
             if isinstance(item, Gap):
                 gaps.append(item)
                 motion.meet(item)
-                if item.reason is GapReason.INTERRUPTED:  # the next frame may be hours away
+                # The next frame may be hours away, or of another size, which is said before its points.
+                if item.reason in (GapReason.INTERRUPTED, GapReason.SIZE_CHANGED):
                     yield motion.taken(gaps)
                     gaps = []
                 continue

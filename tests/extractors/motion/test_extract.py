@@ -186,13 +186,15 @@ def test_a_change_of_size_ends_tracks_and_work_goes_on(street_frames: list[Frame
             small = np.asarray(cv2.resize(frame.image, (480, 270)), np.uint8)
             yield Frame(frame.index - first + count, frame.time_us - 100_000 * (first - count), small)
 
-    found = run(resized(first=30, count=60))
+    found = run(resized(first=33, count=63))
     gaps = [gap for extraction in found.extractions for gap in extraction.gaps]
     assert [gap.reason for gap in gaps] == [GapReason.SIZE_CHANGED]
+    # An interval ends there: what is said of the new size comes before its points.
+    assert 63 in [extraction.frames for extraction in found.extractions]
     before = [end for end in found.ends if end.reason == "input_changed"]
     assert before
-    assert all(end.last_frame < 60 for end in before)
-    after = [end for end in found.ends if end.first_frame >= 60]
+    assert all(end.last_frame < 63 for end in before)
+    after = [end for end in found.ends if end.first_frame >= 63]
     assert after
     assert not {e.track_id for e in before} & {e.track_id for e in after}
 
