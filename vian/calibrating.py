@@ -10,7 +10,6 @@ import json
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime
-from typing import TypeVar
 
 from events import (
     CameraCalibrated,
@@ -36,9 +35,8 @@ from store import Log
 from vian.camera_folds import CameraConfig, CameraFolds
 from vian.errors import WorldFailed, WrongUsage
 from vian.exclusive import exclusively
+from vian.said import Said
 from vian.zoning import frame_size_of
-
-E = TypeVar("E", bound=EventType)
 
 _READ = tuple(each.type_name for each in (VideoAdded, TrackPoint, SceneChanged))
 """Event types that a calibration is found from; a video says the frame's size."""
@@ -88,7 +86,7 @@ def calibrate_from_tracks(
                 f"Next: vian extract motion VIDEO --source {source}"
             )
         stream = StreamName.of(station, source, CameraCalibrated.type_name)
-        said = [event for event, _ in _said(log, stream, CameraCalibrated)]
+        said = [event for event, _ in Said(log, station, source).every(CameraCalibrated)]
         new = found if said[len(said) - len(found) :] != found else []
         if new:
             producer = Producer(NAME, VERSION, config.config_hash)
@@ -102,15 +100,14 @@ def config_for(log: Log, station: str, source: str) -> CalibrationConfig:
     Raises:
         InvalidName: The station or the source cannot be one.
     """
-    stream = StreamName.of(station, source, ProcessStarted.type_name)
-    started = [event for event, _ in _said(log, stream, ProcessStarted) if event.extractor == motion.NAME]
+    started = [event for event, _ in Said(log, station, source).every(ProcessStarted) if event.extractor == motion.NAME]
     is_of_a_model = bool(started) and json.loads(started[-1].configuration).get("detector") is not None
     return CalibrationConfig.of_boxes() if is_of_a_model else CalibrationConfig()
 
 
-def unsaid(log: Log, stream: StreamName, found: Sequence[CameraCalibrated]) -> list[CameraCalibrated]:
+def unsaid(said: Said, found: Sequence[CameraCalibrated]) -> list[CameraCalibrated]:
     """Those of the calibrations that the stream does not hold yet."""
-    known = {event.model_dump_json() for event, _ in _said(log, stream, CameraCalibrated)}
+    known = {event.model_dump_json() for event, _ in said.every(CameraCalibrated)}
     return [event for event in found if event.model_dump_json() not in known]
 
 
@@ -118,11 +115,12 @@ def standing_calibration(
     log: Log, station: str, source: str, to_position: int | None = None
 ) -> CameraCalibrated | None:
     """The source's newest calibration up to a position (None: of all), unless its camera was moved since then."""
+    said = Said(log, station, source)
     newest, at = None, 0
-    for event, position in _said(log, StreamName.of(station, source, CameraCalibrated.type_name), CameraCalibrated):
+    for event, position in said.every(CameraCalibrated):
         if to_position is None or position <= to_position:
             newest, at = event, position
-    for change, position in _said(log, StreamName.of(station, source, SceneChanged.type_name), SceneChanged):
+    for change, position in said.every(SceneChanged):
         if change.cause == "moved" and at < position and (to_position is None or position <= to_position):
             return None
     return newest
@@ -200,11 +198,3 @@ def calibrations_in(batches: Sequence[EventBatch]) -> list[CameraCalibrated]:
     """The calibrations among the events."""
     said = [batch for batch in batches if batch.type is CameraCalibrated]
     return [event for batch in said for event in events_of(batch) if isinstance(event, CameraCalibrated)]
-
-
-def _said(log: Log, stream: StreamName, event_type: type[E]) -> Iterator[tuple[E, int]]:
-    """The stream's events, with their positions."""
-    for segment in log.read_lives(stream):
-        for event in events_of(decode(segment, log.catalogue)):
-            assert isinstance(event, event_type), "a stream holds one type"
-            yield event, segment.position

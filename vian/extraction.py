@@ -18,7 +18,7 @@ from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from events import (
     ActivityInterval,
@@ -41,9 +41,7 @@ from events import (
     TrackPoint,
     VideoAdded,
     batch_of,
-    decode,
     encode,
-    events_of,
     source_name,
     station_name,
 )
@@ -59,8 +57,7 @@ from vian.camera_folds import CameraConfig, CameraFolds, Resized
 from vian.errors import WorldFailed, WrongUsage
 from vian.exclusive import exclusively
 from vian.resuming import resume
-
-E = TypeVar("E", bound=EventType)
+from vian.said import Said
 
 _SAID_BY_A_PROCESS = (
     TrackPoint,
@@ -163,6 +160,11 @@ class Job:
         if self.on_note is not None:
             self.on_note(text)
 
+    @property
+    def said(self) -> Said:
+        """What the log holds of the source."""
+        return Said(self.log, self.station, self.source)
+
     def stream(self, event_type: type[EventType]) -> StreamName:
         """The stream of this source in an event type."""
         return StreamName.of(self.station, self.source, event_type.type_name)
@@ -203,7 +205,7 @@ def _extract_live(job: Job, live: Live) -> Extraction:
     _check_fits(job, live.info)
     started_at = _checked_start(job.started_at or live.started_at)
     added = _live_added(job, live.info, started_at)
-    if job.started_at is not None and _find(job, VideoAdded, added.video) is not None:
+    if job.started_at is not None and job.said.newest_about(VideoAdded, added.video) is not None:
         raise WrongUsage(
             f"source {job.source} has footage of {job.path.shown} that began at {started_at.isoformat()}: times would "
             "come twice. Next: leave --start out; a live stream says its time itself"
@@ -220,17 +222,17 @@ def _extract(job: Job, path: Path, info: VideoInfo) -> Extraction:
     _check_fits(job, info)
     added = _added(job, path, info)
     process = process_name(job, added.video)
-    begun = _find(job, ProcessStarted, process)
+    begun = job.said.newest_about(ProcessStarted, process)
     if begun is None:
-        newest = _find(job, VideoAdded, added.video)
+        newest = job.said.newest_about(VideoAdded, added.video)
         if newest is not None and (newest[0].width, newest[0].height) != (added.width, added.height):
             _append_first(job, added)  # an earlier process met another size within the video
         _give_up_unfinished(job, added, process)
         begun = _start(job, added, process)
-    elif finished := _find(job, ProcessFinished, process):
+    elif finished := job.said.newest_about(ProcessFinished, process):
         done = finished[0]
         return Extraction(process, job.source, added, done.frames, done.events, done.gaps, was_done=True)
-    elif failed := _find(job, ProcessFailed, process):
+    elif failed := job.said.newest_about(ProcessFailed, process):
         raise WorldFailed(
             f"process {process} on {job.path} failed before, after {failed[0].frames} frames: {failed[0].error}. "
             f"What it said until then is in the log. Next: mend the video, or repeat it with --again {job.run + 1}"
@@ -401,8 +403,10 @@ class _Run:
         if standing is not None and standing.covariance is None:
             return []
         # What was withheld before the camera was moved, as its place was calibrated by hand, is not said after.
-        moves = [event.time for event, at in _said(job, SceneChanged) if event.cause == "moved" and at > self._at_start]
-        new = [event for event in unsaid(job.log, stream, found) if not moves or event.time > max(moves)]
+        moves = [
+            event.time for event, at in job.said.every(SceneChanged) if event.cause == "moved" and at > self._at_start
+        ]
+        new = [event for event in unsaid(job.said, found) if not moves or event.time > max(moves)]
         self._appender.resume_at(stream, job.log.stream_head(stream).sequence)
         return [(stream, batch_of(new))] if new else []
 
@@ -430,7 +434,7 @@ class _Run:
 
 def _added(job: Job, path: Path, info: VideoInfo) -> VideoAdded:
     """The video as the log knows it; made known now if it was not."""
-    known = _find(job, VideoAdded, info.sha256)
+    known = job.said.newest_about(VideoAdded, info.sha256)
     if known is not None:
         _check_start(job, known[0])
         return known[0].model_copy(update={"width": info.width, "height": info.height})
@@ -504,10 +508,13 @@ def _is_plausible(start: datetime) -> bool:
 
 def _give_up_unfinished(job: Job, added: VideoAdded, successor: str) -> None:
     """Say of the source's process that is not at its end that it has none: what follows is another's."""
-    started = _newest(job, ProcessStarted)
-    if started is None or any(_find(job, end, started.process) for end in (ProcessFinished, ProcessFailed)):
+    newest = job.said.newest(ProcessStarted)
+    if newest is None:
         return
-    progress = _find(job, ProcessProgressed, started.process)
+    started = newest[0]
+    if any(job.said.newest_about(end, started.process) for end in (ProcessFinished, ProcessFailed)):
+        return
+    progress = job.said.newest_about(ProcessProgressed, started.process)
     frames, events = (progress[0].frames, progress[0].events) if progress else (0, 0)
     job.note(f"process {started.process} on source {job.source} was left unfinished and is given up")
     event = ProcessFailed(
@@ -534,8 +541,11 @@ def _say_interrupted(job: Job, added: VideoAdded, killed: ProcessStarted, progre
 
 def _say_back(job: Job, added: VideoAdded) -> None:
     """Say that the stream is back, where a process ended while it was away."""
-    lost = _newest(job, StreamInterrupted)
-    if lost is not None and all(back.interrupted_at != lost.time for back, _ in _said(job, StreamResumed)):
+    newest = job.said.newest(StreamInterrupted)
+    if newest is None:
+        return
+    lost = newest[0]
+    if all(back.interrupted_at != lost.time for back, _ in job.said.every(StreamResumed)):
         time = max(added.started_at, lost.time)
         _append_first(job, StreamResumed(time=time, video=added.video, interrupted_at=lost.time))
 
@@ -558,31 +568,6 @@ def _append_first(job: Job, event: EventType) -> int:
     stream = job.stream(type(event))
     draft = encode(stream, batch_of([event]), _producer(job))
     return job.log.append([draft], [job.log.stream_head(stream).sequence])[0].position
-
-
-def _find(job: Job, event_type: type[E], subject: str) -> tuple[E, int] | None:
-    """The newest event of the source about the subject, and its position."""
-    assert event_type.subject_field is not None
-    found = None
-    for event, position in _said(job, event_type):
-        if getattr(event, event_type.subject_field) == subject:
-            found = event, position
-    return found
-
-
-def _newest(job: Job, event_type: type[E]) -> E | None:
-    newest = None
-    for event, _ in _said(job, event_type):
-        newest = event
-    return newest
-
-
-def _said(job: Job, event_type: type[E]) -> Iterator[tuple[E, int]]:
-    """The source's events of a type, with their positions."""
-    for segment in job.log.read_lives(job.stream(event_type)):
-        for event in events_of(decode(segment, job.log.catalogue)):
-            assert isinstance(event, event_type), "a stream holds one type"
-            yield event, segment.position
 
 
 def _producer(job: Job) -> Producer:

@@ -10,7 +10,6 @@ import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from datetime import datetime
-from typing import TypeVar
 
 from events import (
     EventBatch,
@@ -27,7 +26,6 @@ from events import (
     batch_of,
     decode,
     encode,
-    events_of,
     source_name,
     station_name,
 )
@@ -37,8 +35,7 @@ from vian.errors import WorldFailed, WrongUsage
 from vian.exclusive import exclusively
 from vian.extraction import Stamp, wall_clock
 from vian.resuming import resume
-
-E = TypeVar("E", bound=EventType)
+from vian.said import Said
 
 _READ = tuple(each.type_name for each in (VideoAdded, TrackPoint, SceneChanged))
 """Event types that the horizon is found from; a video says the frame's size."""
@@ -75,6 +72,11 @@ class HorizonJob:
     on_note: Callable[[str], None] | None = None
     """told what people should know"""
 
+    @property
+    def said(self) -> Said:
+        """What the log holds of the source."""
+        return Said(self.log, self.station, self.source)
+
     def stream(self, event_type: type[EventType]) -> StreamName:
         """The stream of this source in an event type."""
         return StreamName.of(self.station, self.source, event_type.type_name)
@@ -105,7 +107,7 @@ def extract_horizon(job: HorizonJob) -> HorizonExtraction:
 
 
 def _extract(job: HorizonJob) -> HorizonExtraction:
-    video = _newest(job, VideoAdded)
+    video = job.said.newest(VideoAdded)
     points = sum(life.sequence for life in job.log.lives(job.stream(TrackPoint)))
     if video is None or not points:
         raise WrongUsage(
@@ -113,9 +115,9 @@ def _extract(job: HorizonJob) -> HorizonExtraction:
             f"Next: vian extract motion VIDEO --source {job.source}"
         )
     started, at = (_unfinished(job) if job.run == 1 else None) or _begun(job, process_name(job, points), video[0])
-    done = _of_process(job, ProcessFinished, started.process)
+    done = job.said.newest_about(ProcessFinished, started.process)
     finished = done[0] if done else _finished(job, started.process, at, video[0].started_at)
-    estimate = _newest(job, HorizonEstimate)
+    estimate = job.said.newest(HorizonEstimate)
     return HorizonExtraction(
         process=started.process,
         source=job.source,
@@ -196,7 +198,7 @@ class _Run:
 
 def _begun(job: HorizonJob, process: str, video: VideoAdded) -> tuple[ProcessStarted, int]:
     """The start of the process, and its position; said now if it was not."""
-    found = _of_process(job, ProcessStarted, process)
+    found = job.said.newest_about(ProcessStarted, process)
     if found is not None:
         return found
     event = ProcessStarted(
@@ -214,27 +216,7 @@ def _begun(job: HorizonJob, process: str, video: VideoAdded) -> tuple[ProcessSta
 
 def _unfinished(job: HorizonJob) -> tuple[ProcessStarted, int] | None:
     """The source's newest process if it is such a one, not at its end: it goes on with the points it began with."""
-    newest = _newest(job, ProcessStarted)
-    if newest is None or newest[0].extractor != NAME or _of_process(job, ProcessFinished, newest[0].process):
+    newest = job.said.newest(ProcessStarted)
+    if newest is None or newest[0].extractor != NAME or job.said.newest_about(ProcessFinished, newest[0].process):
         return None
     return newest if json.loads(newest[0].configuration) == job.config.model_dump(mode="json") else None
-
-
-def _of_process(job: HorizonJob, event_type: type[E], process: str) -> tuple[E, int] | None:
-    found = [said for said in _said(job, event_type) if getattr(said[0], "process", None) == process]
-    return found[-1] if found else None
-
-
-def _newest(job: HorizonJob, event_type: type[E]) -> tuple[E, int] | None:
-    newest = None
-    for said in _said(job, event_type):
-        newest = said
-    return newest
-
-
-def _said(job: HorizonJob, event_type: type[E]) -> Iterator[tuple[E, int]]:
-    """The source's events of a type, with their positions."""
-    for segment in job.log.read_lives(job.stream(event_type)):
-        for event in events_of(decode(segment, job.log.catalogue)):
-            assert isinstance(event, event_type), "a stream holds one type"
-            yield event, segment.position
