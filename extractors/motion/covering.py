@@ -20,7 +20,7 @@ import numpy.typing as npt
 from extractors.motion.blobs import BoxesXyxy, areas, intersections, xywh, xyxy
 from extractors.motion.detection import Detections, joined
 from extractors.motion.held import FOREGROUND, Mask
-from extractors.motion.sizes import SizePrior
+from extractors.motion.sizes import LearntSizes
 
 Array = npt.NDArray[np.float64]
 
@@ -79,7 +79,7 @@ class _Crop:
     y: int
 
 
-def explained(mask: Mask, blobs_xyxy: BoxesXyxy, tracked_xyxy: BoxesXyxy, sizes: SizePrior) -> Detections | None:
+def explained(mask: Mask, blobs_xyxy: BoxesXyxy, tracked_xyxy: BoxesXyxy, sizes: LearntSizes) -> Detections | None:
     """The objects in the mask; None where the size of none is known.
 
     A blob at a place where nothing is known of sizes is one object.
@@ -155,7 +155,7 @@ def _clusters(blobs_xyxy: BoxesXyxy, expected_wh: Array) -> list[npt.NDArray[np.
     return [np.flatnonzero(label == value) for value in np.unique(label)]
 
 
-def _covered(mask: Mask, blobs_xyxy: BoxesXyxy, tracked_xyxy: BoxesXyxy, sizes: SizePrior) -> Detections:
+def _covered(mask: Mask, blobs_xyxy: BoxesXyxy, tracked_xyxy: BoxesXyxy, sizes: LearntSizes) -> Detections:
     """The boxes of expected size that explain the blobs."""
     low, high = blobs_xyxy[:, :2].min(axis=0), blobs_xyxy[:, 2:].max(axis=0)
     foot = np.array([[(low[0] + high[0]) / 2, high[1]]])
@@ -184,7 +184,7 @@ def _crop(mask: Mask, low: Array, high: Array, margin: float, factor: int) -> _C
     return _Crop(np.asarray(small, np.float64) / FOREGROUND, int(x1), int(y1))
 
 
-def _greedy(crop: _Crop, tracked_xyxy: BoxesXyxy, sizes: SizePrior, factor: int) -> tuple[BoxesXyxy, Array]:
+def _greedy(crop: _Crop, tracked_xyxy: BoxesXyxy, sizes: LearntSizes, factor: int) -> tuple[BoxesXyxy, Array]:
     """Boxes, the best explanation first, and the share of each body that it alone explained."""
     feet, boxes = _candidates(crop, sizes, factor)
     if not len(boxes):
@@ -213,7 +213,7 @@ def _greedy(crop: _Crop, tracked_xyxy: BoxesXyxy, sizes: SizePrior, factor: int)
     return boxes[chosen], np.array(shares)
 
 
-def _candidates(crop: _Crop, sizes: SizePrior, factor: int) -> tuple[Array, BoxesXyxy]:
+def _candidates(crop: _Crop, sizes: LearntSizes, factor: int) -> tuple[Array, BoxesXyxy]:
     """Ground contact points on the grid of the crop, and the boxes there whose chest is foreground."""
     rows, columns = np.mgrid[0 : crop.filled.shape[0] + 1, 0 : crop.filled.shape[1] + 1]
     feet = np.stack([columns.ravel() * factor + crop.x, rows.ravel() * factor + crop.y], axis=1).astype(float)

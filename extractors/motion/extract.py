@@ -20,7 +20,6 @@ from extractors.media import Frame, Gap, GapReason, Image
 from extractors.motion import blobs
 from extractors.motion.appearance import described
 from extractors.motion.background import Background, Foreground
-from extractors.motion.calibrated import ShrunkSizes
 from extractors.motion.config import MotionConfig
 from extractors.motion.covering import explained
 from extractors.motion.detection import Detections, Detector
@@ -28,7 +27,7 @@ from extractors.motion.emission import Emission
 from extractors.motion.held import FOREGROUND, Mask
 from extractors.motion.ignored import IgnoredArea
 from extractors.motion.shake import Shake
-from extractors.motion.sizes import SizePrior
+from extractors.motion.sizes import LearntSizes
 from extractors.motion.steadiness import Change, Steadiness, View
 from extractors.motion.sway import Sway
 from extractors.motion.tracks import EndReason, Observed, Tracks
@@ -75,12 +74,6 @@ class _Found:
 
 
 OnFrame = Callable[[Frame, Seen], None]
-Calibrated = Callable[[], SizePrior | None]
-"""Sizes of people in px of the video's frame, as a calibration gives them; None while there is none."""
-
-
-def uncalibrated() -> None:
-    """No calibration."""
 
 
 def extract(
@@ -91,7 +84,6 @@ def extract(
     first_track_id: int = 1,
     detector: Detector | None = None,
     ignored: IgnoredArea | None = None,
-    calibrated: Calibrated = uncalibrated,
     on_frame: OnFrame | None = None,
 ) -> Iterator[Extraction]:
     """Events of what moves in the frames, an interval of `batch_s` media time at a time.
@@ -103,16 +95,13 @@ def extract(
         first_track_id: Number of the first track.
         detector: Finds the objects in each picture; by default they are found by what moves.
         ignored: Where motion does not count.
-        calibrated: Asked at each picture for the sizes that a calibration gives, which then stand in for those that
-            are learnt. What it answers may change while an `Extraction` is taken, so it can rest on the events
-            yielded before. Once the camera looks elsewhere (`SceneChanged`), it must say None again.
         on_frame: Called after each frame with what was made of it.
 
     Raises:
         DetectorFailed: The detector stopped.
         VideoError: The frames ended with it. Everything certain before either was yielded.
     """
-    motion = _Motion(config, start_time, first_track_id, detector, ignored, calibrated)
+    motion = _Motion(config, start_time, first_track_id, detector, ignored)
     gaps: list[Gap] = []
     step_us = round(config.batch_s * 1e6)
     due_us = step_us
@@ -150,7 +139,6 @@ class _Motion:
         first_track_id: int,
         detector: Detector | None,
         ignored: IgnoredArea | None,
-        calibrated: Calibrated,
     ) -> None:
         # What a model calls an object is one before it moves.
         self._config = config if detector is None else config.model_copy(update={"confirm_path": 0.0})
@@ -162,10 +150,9 @@ class _Motion:
         self._emission = Emission(config, start_time)
         self._next_track_id = first_track_id
         self._ignored = ignored
-        self._calibrated = calibrated
         self._tracks: Tracks | None = None
         self._shape: tuple[int, ...] = ()
-        self._sizes: SizePrior | None = None
+        self._sizes: LearntSizes | None = None
         self._last: Frame | None = None
         self._frames = 0
 
@@ -201,7 +188,7 @@ class _Motion:
         mask = blobs.cleaned(foreground.mask, self._config)
         boxes = blobs.boxes(mask, self._config)
         self._tracks.disown(foreground.ghosts)
-        sizes = self._known_sizes(self._factor * frame.scale)
+        sizes = self._known_sizes()
         objects = None if foreground.is_light_change else self._objects(image, mask, boxes, sizes, dt_s)
         return _Found(foreground, mask, boxes, objects)
 
@@ -217,18 +204,15 @@ class _Motion:
         objects = replace(seen, boxes_xyxy=boxes, looks=described(image, mask, boxes))
         return _Found(Foreground(mask, share, is_light_change=False), mask, boxes, objects)
 
-    def _known_sizes(self, scale: float) -> SizePrior | None:
-        """What is known of sizes in the picture, of whose pixels each is `scale` of the video's."""
+    def _known_sizes(self) -> LearntSizes | None:
+        """What is known of sizes in the picture."""
         assert self._tracks is not None
-        given = self._calibrated()
-        if given is not None:
-            return ShrunkSizes(given, scale)
         if self._tracks.sizes.is_due:
             self._sizes = self._tracks.sizes.learnt()
         return self._sizes
 
     def _objects(
-        self, image: Image, mask: Mask, found: blobs.BoxesXyxy, sizes: SizePrior | None, dt_s: float
+        self, image: Image, mask: Mask, found: blobs.BoxesXyxy, sizes: LearntSizes | None, dt_s: float
     ) -> blobs.BoxesXyxy | Detections:
         """Objects of the known size; blobs, as long as none is known."""
         assert self._tracks is not None

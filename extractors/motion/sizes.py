@@ -3,7 +3,7 @@
 Objects of one kind that stand upright on a plane have a height in the picture that is about
 `h = k (y - slope x - offset)`, with `(x, y)` the ground contact point and `y = slope x + offset` the
 horizon. `SizeLearner` fits that to the boxes of confirmed tracks as they come, robustly, and says how sure it
-is; `SizePrior` is what the rest of the method asks, so that a calibration can stand in its place.
+is; `LearntSizes` is what the rest of the method asks.
 
 It abstains where the tracks do not decide: few of them, sizes of several kinds, objects that are not
 upright (vehicles come in too many lengths to be told apart by size), places far from all that was seen.
@@ -14,7 +14,6 @@ The fit: P. J. Huber, "Robust Estimation of a Location Parameter", 1964, by rewe
 
 from collections import deque
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -48,14 +47,6 @@ class Sizes:
     """`(n,)` px"""
     deviation: Array
     """relative standard deviation of the height: of the kind, and of what is known of it, `(n,)`"""
-
-
-class SizePrior(Protocol):
-    """What is known of sizes beforehand."""
-
-    def expected(self, feet_xy: Array) -> Sizes:
-        """Sizes of upright objects with these ground contact points, `(n, 2)` px; NaN where it cannot say."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
