@@ -186,13 +186,12 @@ class _Sender:
 
     def _send(self, picture: Picture, place: _Place) -> None:
         gaps = place.gaps + [(GapReason.CONVERTED, text) for text in self._pictures.told()]
-        if self._size is None:
-            self._send_info(picture.full_size, place.time_us)
-        elif self._size != picture.full_size:
-            changed = f"the frame size changed from {_times(self._size)} to {_times(picture.full_size)} px"
-            gaps.append((GapReason.SIZE_CHANGED, changed))
-        self._size = picture.full_size
+        before, self._size = self._size, picture.full_size
+        if before is None:
+            self._send_info(self._size, place.time_us)
         self._send_gaps(place.index, gaps)
+        if before is not None and before != self._size:
+            self._send_size_changed(place.index, before, self._size)
         height, width = picture.image.shape[:2]
         header = Header(Kind.FRAME, place.index, place.time_us, width, height, picture.scale, picture.image.nbytes)
         self._outlet.frame(header, picture.image)
@@ -214,6 +213,10 @@ class _Sender:
     def _send_gaps(self, index: int, gaps: list[tuple[GapReason, str]]) -> None:
         for reason, detail in gaps:
             self._outlet.json(Kind.GAP, index, reason=reason, detail=detail)
+
+    def _send_size_changed(self, index: int, before: tuple[int, int], now: tuple[int, int]) -> None:
+        told = f"the frame size changed from {_times(before)} to {_times(now)} px"
+        self._outlet.json(Kind.GAP, index, reason=GapReason.SIZE_CHANGED, detail=told, width=now[0], height=now[1])
 
     def _note_corrupt(self) -> None:
         if self._corrupt:

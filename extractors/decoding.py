@@ -145,7 +145,8 @@ class Decoding:
 
     def _gap(self, header: Header) -> Gap:
         content = self._json(header)
-        return Gap(header.index, GapReason(content["reason"]), self._redact(content["detail"]))
+        size = (int(content["width"]), int(content["height"])) if "width" in content else None
+        return Gap(header.index, GapReason(content["reason"]), self._redact(content["detail"]), size=size)
 
     def _header(self) -> Header:
         data = bytearray(HEADER.size)

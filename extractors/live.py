@@ -114,7 +114,8 @@ class Live:
                 now = self.info
                 if (now.width, now.height) != (before.width, before.height):
                     sizes = f"from {before.width}x{before.height} to {now.width}x{now.height} px"
-                    yield self._gap(GapReason.SIZE_CHANGED, f"the frame size changed {sizes}")
+                    changed = self._gap(GapReason.SIZE_CHANGED, f"the frame size changed {sizes}")
+                    yield replace(changed, size=(now.width, now.height))
         except Stopped:
             return
 
@@ -125,9 +126,10 @@ class Live:
         try:
             for item in self._decoding.media():
                 if isinstance(item, Gap):
+                    if item.size is not None:
+                        self.info = replace(self.info, width=item.size[0], height=item.size[1])
                     yield replace(item, before_index=first_index + item.before_index, time_us=max(0, self._last_us))
                     continue
-                self._heed_size(item)
                 self._next_index = first_index + item.index + 1
                 self._last_us = max(item.time_us - self._zero_us, self._last_us + 1)
                 yield replace(item, index=first_index + item.index, time_us=self._last_us)
@@ -149,11 +151,6 @@ class Live:
             return 0.0
         self._zero_us -= behind_us
         return behind_us / 1e6
-
-    def _heed_size(self, frame: Frame) -> None:
-        height, width = (round(side * frame.scale) for side in frame.image.shape[:2])
-        if max(abs(width - self.info.width), abs(height - self.info.height)) > frame.scale:  # beyond rounding
-            self.info = replace(self.info, width=width, height=height)
 
     def _reconnect(self) -> tuple[int, float]:
         """Connect again; the attempts that it took, and the time, s.

@@ -105,6 +105,8 @@ class Gap:
     """what happened, for people"""
     time_us: int | None = None
     """when it happened, on the clock of the frames, µs; where frames do not tell it (live streams)"""
+    size: tuple[int, int] | None = None
+    """width and height that the video's frames have from here on, before they are made smaller, px; where it changed"""
 
     def __str__(self) -> str:
         return f"before frame {self.before_index}: {self.detail}"

@@ -73,7 +73,7 @@ class Kind(IntEnum):
     FRAME = 2
     """a frame; pixels"""
     GAP = 3
-    """something is missing or changed; JSON: reason, detail"""
+    """something is missing or changed; JSON: reason, detail; width and height of frames that have another size"""
     END = 4
     """the video ended; no body"""
     REFUSED = 5

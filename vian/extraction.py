@@ -15,7 +15,7 @@ import os
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -332,14 +332,13 @@ class _Run:
 
     def _watched(self, frames: Iterable[Frame | Gap]) -> Iterator[Frame | Gap]:
         """The frames as they come; where their size changes, to what."""
-        is_resized = False
+        size: FrameSize | None = None
         for item in frames:
             if isinstance(item, Gap):
-                is_resized |= item.reason is GapReason.SIZE_CHANGED
-            elif is_resized:
-                height, width = (round(pixels * item.scale) for pixels in item.image.shape[:2])
-                self._resized.append(Resized(item.index, item.time_us, FrameSize(width, height)))
-                is_resized = False
+                size = FrameSize(*item.size) if item.size is not None else size
+            elif size is not None:
+                self._resized.append(Resized(item.index, item.time_us, size))
+                size = None
             yield item
 
     def _take_in(self, found: Sequence[EventBatch], step: motion.Extraction | None = None) -> None:
@@ -352,10 +351,11 @@ class _Run:
         """That the frames have come to another size, which zones and calibrations are laid by."""
         for change in self._resized:
             time = self._added.started_at + timedelta(microseconds=change.time_us)
+            width, height = change.size.width, change.size.height
             if self._live is not None:
-                self._footage = _live_added(self._job, self._live.info, time)
+                self._footage = _live_added(self._job, replace(self._live.info, width=width, height=height), time)
             else:
-                sizes = {"width": change.size.width, "height": change.size.height}
+                sizes = {"width": width, "height": height}
                 self._footage = self._added.model_copy(update=sizes | {"time": self._job.stamp(time)})
             yield batch_of([self._footage])
 

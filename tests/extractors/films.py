@@ -33,10 +33,10 @@ def film(
     return path
 
 
-def film_of_two_sizes(folder: Path, *, frames: int = 12) -> Path:
-    """A stream of pictures that changes its size in the middle."""
+def film_of_two_sizes(folder: Path, *, frames: int = 12, second: tuple[int, int] = (200, 160)) -> Path:
+    """A stream of pictures, 160x120 px, that changes its size in the middle."""
     small = film(folder / "small.mjpeg", frames=frames, codec="mjpeg")
-    large = film(folder / "large.mjpeg", frames=frames, codec="mjpeg", size=(200, 160))
+    large = film(folder / "large.mjpeg", frames=frames, codec="mjpeg", size=second)
     both = folder / "both.mjpeg"
     both.write_bytes(small.read_bytes() + large.read_bytes())
     return both

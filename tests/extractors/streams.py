@@ -13,7 +13,7 @@ import ssl
 import struct
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -217,15 +217,20 @@ def _basic(login: str) -> str:
 
 
 @contextmanager
-def http(kind: str, *, frames: int = 50, rate: float = RATE) -> Iterator[str]:
-    """The address of an HTTP camera that sends `mjpeg` or `ts`, or points to a `redirect` of another protocol."""
-    server = ThreadingHTTPServer(("127.0.0.1", 0), _handler(kind, frames, rate))
+def http(
+    kind: str, *, frames: int = 50, rate: float = RATE, sizes: Sequence[tuple[int, int]] = (SIZE,)
+) -> Iterator[str]:
+    """The address of an HTTP camera that sends `mjpeg` or `ts`, or points to a `redirect` of another protocol.
+
+    With `mjpeg` so many frames come in each of the sizes.
+    """
+    server = ThreadingHTTPServer(("127.0.0.1", 0), _handler(kind, frames, rate, sizes))
     server.daemon_threads, server.block_on_close = True, False
     with _served(server):
         yield f"http://127.0.0.1:{server.server_port}/camera?user=admin&pwd=geheim"
 
 
-def _handler(kind: str, frames: int, rate: float) -> type[BaseHTTPRequestHandler]:
+def _handler(kind: str, frames: int, rate: float, sizes: Sequence[tuple[int, int]]) -> type[BaseHTTPRequestHandler]:
     class Handler(BaseHTTPRequestHandler):
         def do_GET(self) -> None:
             if kind == "redirect":
@@ -238,7 +243,7 @@ def _handler(kind: str, frames: int, rate: float) -> type[BaseHTTPRequestHandler
                 "Content-Type", "video/mp2t" if kind == "ts" else "multipart/x-mixed-replace; boundary=frame"
             )
             self.end_headers()
-            for part in _transport_stream(frames) if kind == "ts" else _jpegs(frames):
+            for part in _transport_stream(frames) if kind == "ts" else _jpegs(frames, sizes):
                 try:
                     self.wfile.write(part)
                 except (BrokenPipeError, ConnectionResetError):
@@ -251,15 +256,16 @@ def _handler(kind: str, frames: int, rate: float) -> type[BaseHTTPRequestHandler
     return Handler
 
 
-def _jpegs(frames: int) -> Iterator[bytes]:
-    context: Any = av.CodecContext.create("mjpeg", "w")
-    context.width, context.height, context.pix_fmt, context.framerate = *SIZE, "yuvj420p", RATE
-    for at in range(frames):
-        frame = av.VideoFrame.from_ndarray(picture(*SIZE, at), format="bgr24").reformat(format="yuvj420p")
-        frame.pts = at
-        for packet in context.encode(frame):
-            data = bytes(packet)
-            yield b"--frame\r\nContent-Type: image/jpeg\r\nContent-Length: %d\r\n\r\n%s\r\n" % (len(data), data)
+def _jpegs(frames: int, sizes: Sequence[tuple[int, int]]) -> Iterator[bytes]:
+    for size in sizes:
+        context: Any = av.CodecContext.create("mjpeg", "w")
+        context.width, context.height, context.pix_fmt, context.framerate = *size, "yuvj420p", RATE
+        for at in range(frames):
+            frame = av.VideoFrame.from_ndarray(picture(*size, at), format="bgr24").reformat(format="yuvj420p")
+            frame.pts = at
+            for packet in context.encode(frame):
+                data = bytes(packet)
+                yield b"--frame\r\nContent-Type: image/jpeg\r\nContent-Length: %d\r\n\r\n%s\r\n" % (len(data), data)
 
 
 def _transport_stream(frames: int) -> Iterator[bytes]:

@@ -114,6 +114,21 @@ def test_a_stream_that_comes_back_in_another_size_goes_on() -> None:
     assert found[-1].image.shape == (144, 192, 3)
 
 
+def test_a_stream_that_changes_its_size_says_so_in_its_own_pixels() -> None:
+    """Reckoned back from the smaller picture it would be 250x141."""
+    sizes = ((160, 120), (250, 142))
+    with (
+        http("mjpeg", frames=40, sizes=sizes) as url,
+        Live(address(url), QUICK, Shape(width_max=64)) as live,
+    ):
+        before = live.info
+        gap = next(item for item in live.frames() if isinstance(item, Gap) and item.reason is GapReason.SIZE_CHANGED)
+        next(item for item in live.frames() if isinstance(item, Frame))
+        after = live.info
+    assert [(info.width, info.height) for info in (before, after)] == list(sizes)
+    assert gap.size == sizes[1]
+
+
 def test_pictures_that_nobody_has_time_for_are_left_out_and_counted() -> None:
     with rtsp(Camera(rate=200)) as url, Live(address(url), replace(QUICK, queue_frames=2)) as live:
         items = []

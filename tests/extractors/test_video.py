@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from extractors.errors import DecoderDied, DecoderStalled, VideoHasNoFrames, VideoUnreadable
-from extractors.media import Frame, Gap, GapReason
+from extractors.media import Frame, Gap, GapReason, Shape
 from extractors.video import DecodeLimits, frames, probe
 from tests.extractors.films import film, film_of_two_sizes, first_half, picture, with_noise
 
@@ -177,10 +177,19 @@ def test_a_change_of_size_is_recorded_where_it_happens(tmp_path: Path) -> None:
     assert isinstance(gap, Gap)
     assert isinstance(before, Frame)
     assert isinstance(after, Frame)
-    assert (gap.reason, gap.before_index) == (GapReason.SIZE_CHANGED, 12)
+    assert (gap.reason, gap.before_index, gap.size) == (GapReason.SIZE_CHANGED, 12, (200, 160))
     assert before.image.shape == (120, 160, 3)
     assert after.image.shape == (160, 200, 3)
     assert len(items) == 25
+
+
+def test_a_size_that_does_not_follow_from_the_smaller_picture_is_told_exactly(tmp_path: Path) -> None:
+    path = film_of_two_sizes(tmp_path, second=(250, 142))
+    items = list(frames(path, shape=Shape(width_max=64)))
+    after = items[-1]
+    assert isinstance(after, Frame)
+    assert round(after.image.shape[0] * after.scale) == 141
+    assert [item.size for item in items if isinstance(item, Gap)] == [(250, 142)]
 
 
 def test_a_clock_that_goes_back_is_recorded_and_time_goes_on(tmp_path: Path) -> None:

@@ -37,6 +37,7 @@ from extractors.media import Frame, Gap, GapReason, Shape
 from store import Log, LogUnavailable
 from tests.conftest import Server
 from tests.events.examples import camera_calibrated
+from tests.extractors.films import film_of_two_sizes
 from tests.vian.clips import Walk, write_clip
 from tests.vian.samples import START, heads, reopened
 from vian import extraction
@@ -534,6 +535,13 @@ def test_what_is_asked_of_the_pictures_names_another_process(log: Log, clip: Pat
     assert max(half_x) == pytest.approx(max(all_x), abs=20), "px of the video, not of the smaller picture"
     hashes = {segment.header.producer.configuration_hash for segment in log.read_all(types=["track_point"])}
     assert len(hashes) == 2
+
+
+def test_another_size_within_a_video_is_said_in_the_videos_own_pixels(log: Log, tmp_path: Path) -> None:
+    """Reckoned back from the smaller picture it would be 250x141."""
+    both = film_of_two_sizes(tmp_path, second=(250, 142))
+    extract_motion(job(log, both, shape=Shape(width_max=64)))
+    assert [(added.width, added.height) for added in said(log, VideoAdded)] == [(160, 120), (250, 142)]
 
 
 def test_an_area_that_does_not_fit_leaves_no_trace(log: Log, clip: Path) -> None:
