@@ -105,12 +105,6 @@ def config_for(log: Log, station: str, source: str) -> CalibrationConfig:
     return CalibrationConfig.of_boxes() if is_of_a_model else CalibrationConfig()
 
 
-def unsaid(said: Said, found: Sequence[CameraCalibrated]) -> list[CameraCalibrated]:
-    """Those of the calibrations that the stream does not hold yet."""
-    known = {event.model_dump_json() for event, _ in said.every(CameraCalibrated)}
-    return [event for event in found if event.model_dump_json() not in known]
-
-
 def standing_calibration(
     log: Log, station: str, source: str, to_position: int | None = None
 ) -> CameraCalibrated | None:

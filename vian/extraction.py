@@ -52,7 +52,7 @@ from extractors.horizon import FrameSize
 from extractors.live import Live, LiveLimits
 from extractors.media import Frame, Gap, GapReason, Shape, VideoInfo
 from store import Appender, Log, SequenceConflict
-from vian.calibrating import calibrations_in, check_inside, standing_calibration, unsaid
+from vian.calibrating import calibrations_in, check_inside, standing_calibration
 from vian.camera_folds import CameraConfig, CameraFolds, Resized
 from vian.errors import WorldFailed, WrongUsage
 from vian.exclusive import exclusively
@@ -211,10 +211,9 @@ def _extract_live(job: Job, live: Live) -> Extraction:
             "come twice. Next: leave --start out; a live stream says its time itself"
         )
     process = process_name(job, added.video)
-    _give_up_unfinished(job, added, process)
-    _append_first(job, added)
-    _say_back(job, added)
-    position = _start(job, added, process)[1]
+    unfinished = _unfinished(job)
+    given_up = [_given_up(job, added, unfinished[0], process)] if unfinished else []
+    position = _start(job, added, process, [*given_up, *_interruption(job, added, unfinished), added])[1]
     return _Run(job, live.info, added, process, position, live).whole(live.frames())
 
 
@@ -227,8 +226,8 @@ def _extract(job: Job, path: Path, info: VideoInfo) -> Extraction:
         newest = job.said.newest_about(VideoAdded, added.video)
         if newest is not None and (newest[0].width, newest[0].height) != (added.width, added.height):
             _append_first(job, added)  # an earlier process met another size within the video
-        _give_up_unfinished(job, added, process)
-        begun = _start(job, added, process)
+        unfinished = _unfinished(job)
+        begun = _start(job, added, process, [_given_up(job, added, unfinished[0], process)] if unfinished else ())
     elif finished := job.said.newest_about(ProcessFinished, process):
         done = finished[0]
         return Extraction(process, job.source, added, done.frames, done.events, done.gaps, was_done=True)
@@ -343,9 +342,20 @@ class _Run:
 
     def _take_in(self, found: Sequence[EventBatch], step: motion.Extraction | None = None) -> None:
         """Append what was found, with what is to be said of the step, in one transaction."""
-        self._events += sum(len(batch) for batch in found)
-        of_the_step = [*self._remarks(step), *self._of_the_stream(step.gaps)] if step is not None else []
-        self._append([*self._of_the_footage(), *found, *of_the_step])
+        calibrations = calibrations_in(found)
+        found = [batch for batch in found if batch.type is not CameraCalibrated]
+        first, last = [*self._of_the_footage(), *found], [*self._of_the_stream(step.gaps)] if step is not None else []
+        notes = self._notes(step) if step is not None else []
+        events = self._events + sum(len(batch) for batch in found)
+        for tries_left in reversed(range(_TRIES)):
+            new, said = self._to_say(calibrations)
+            self._events = events + len(new) + said
+            try:
+                self._append([*first, *self._remarks(notes), *last, *([batch_of(new)] if new else [])])
+                return
+            except SequenceConflict:
+                if not (new and tries_left):
+                    raise
 
     def _of_the_footage(self) -> Iterator[EventBatch]:
         """That the frames have come to another size, which zones and calibrations are laid by."""
@@ -371,13 +381,16 @@ class _Run:
             elif gap.reason is GapReason.RESUMED and self._interrupted_at is not None:
                 yield batch_of([StreamResumed(time=time, video=name, interrupted_at=self._interrupted_at)])
 
-    def _remarks(self, step: motion.Extraction) -> list[EventBatch]:
-        """What is to be said of the work itself: gaps, and progress now and then."""
+    def _notes(self, step: motion.Extraction) -> list[str | None]:
+        """What is to be said of the work itself: gaps, and None for progress, now and then."""
         notes: list[str | None] = [str(gap) for gap in step.gaps]
         if step.time_us / 1e6 >= self._progress_due_s:
             self._progress_due_s = (step.time_us / 1e6 // PROGRESS_EVERY_S + 1) * PROGRESS_EVERY_S
             notes.append(None)
-        at = self._stamp(step.time_us)
+        return notes
+
+    def _remarks(self, notes: Iterable[str | None]) -> list[EventBatch]:
+        at = self._stamp(self._time_us)
         said = [
             ProcessProgressed(time=at, process=self._process, frames=self._frames, events=self._events, note=note)
             for note in notes
@@ -385,30 +398,29 @@ class _Run:
         return [batch_of(said)] if said else []
 
     def _append(self, batches: Sequence[EventBatch]) -> None:
-        found = calibrations_in(batches)
-        others = [(self._job.stream(batch.type), batch) for batch in batches if batch.type is not CameraCalibrated]
-        for tries_left in reversed(range(_TRIES)):
-            said = self._appender.persistently(lambda: self._unsaid(found)) if found else []
-            try:
-                self._appender.append([each for each in (*others, *said) if len(each[1])])
-                return
-            except SequenceConflict:
-                if not (said and tries_left):
-                    raise
+        self._appender.append([(self._job.stream(batch.type), batch) for batch in batches if len(batch)])
 
-    def _unsaid(self, found: Sequence[CameraCalibrated]) -> list[tuple[StreamName, EventBatch]]:
-        """The calibrations that are still to be said; none where people have calibrated the camera meanwhile."""
+    def _to_say(self, found: Sequence[CameraCalibrated]) -> tuple[list[CameraCalibrated], int]:
+        """The calibrations that are still to be said, and how many of them this process said before it was killed."""
+        if not found:
+            return [], 0
+        (told,) = self._appender.persistently(lambda: [self._told_of(found)])
+        return told
+
+    def _told_of(self, found: Sequence[CameraCalibrated]) -> tuple[list[CameraCalibrated], int]:
         job, stream = self._job, self._job.stream(CameraCalibrated)
+        there = {event.model_dump_json(): at for event, at in job.said.every(CameraCalibrated)}
+        said = sum(there.get(event.model_dump_json(), 0) > self._at_start for event in found)
         standing = standing_calibration(job.log, job.station, job.source)
         if standing is not None and standing.covariance is None:
-            return []
+            return [], said  # people have calibrated the camera meanwhile
         # What was withheld before the camera was moved, as its place was calibrated by hand, is not said after.
         moves = [
             event.time for event, at in job.said.every(SceneChanged) if event.cause == "moved" and at > self._at_start
         ]
-        new = [event for event in unsaid(job.said, found) if not moves or event.time > max(moves)]
+        unsaid = [event for event in found if event.model_dump_json() not in there]
         self._appender.resume_at(stream, job.log.stream_head(stream).sequence)
-        return [(stream, batch_of(new))] if new else []
+        return [event for event in unsaid if not moves or event.time > max(moves)], said
 
     def _say(self, event: EventType) -> None:
         self._append([batch_of([event])])
@@ -506,51 +518,58 @@ def _is_plausible(start: datetime) -> bool:
     return start.year in _YEARS
 
 
-def _give_up_unfinished(job: Job, added: VideoAdded, successor: str) -> None:
-    """Say of the source's process that is not at its end that it has none: what follows is another's."""
+def _unfinished(job: Job) -> tuple[ProcessStarted, int] | None:
+    """The source's newest process, with the position of its start, if it is not at its end."""
     newest = job.said.newest(ProcessStarted)
-    if newest is None:
-        return
-    started = newest[0]
-    if any(job.said.newest_about(end, started.process) for end in (ProcessFinished, ProcessFailed)):
-        return
-    progress = job.said.newest_about(ProcessProgressed, started.process)
+    if newest is None or any(job.said.newest_about(end, newest[0].process) for end in (ProcessFinished, ProcessFailed)):
+        return None
+    return newest
+
+
+def _given_up(job: Job, added: VideoAdded, unfinished: ProcessStarted, successor: str) -> ProcessFailed:
+    """That a process has no end: what follows is another's."""
+    job.note(f"process {unfinished.process} on source {job.source} was left unfinished and is given up")
+    progress = job.said.newest_about(ProcessProgressed, unfinished.process)
     frames, events = (progress[0].frames, progress[0].events) if progress else (0, 0)
-    job.note(f"process {started.process} on source {job.source} was left unfinished and is given up")
-    event = ProcessFailed(
+    return ProcessFailed(
         time=job.stamp(added.started_at),
-        process=started.process,
+        process=unfinished.process,
         frames=frames,
         events=events,
         error=f"given up: it was not at its end when process {successor} began",
     )
-    _append_first(job, event)
-    if isinstance(job.path, Address):
-        _say_interrupted(job, added, started, progress[0] if progress else None)
 
 
-def _say_interrupted(job: Job, added: VideoAdded, killed: ProcessStarted, progress: ProcessProgressed | None) -> None:
-    """Record that nobody watched from the last that an unfinished process said to the beginning of this footage."""
+def _interruption(job: Job, added: VideoAdded, killed: tuple[ProcessStarted, int] | None) -> tuple[EventType, ...]:
+    """What is to be said of the time in which nobody watched a live stream, up to the beginning of this footage.
+
+    It was away when a process ended, or the process was killed.
+    """
+    newest = job.said.newest(StreamInterrupted)
+    backs = {back.interrupted_at for back, _ in job.said.every(StreamResumed)}
+    if newest is not None and newest[0].time not in backs and (killed is None or newest[1] > killed[1]):
+        since = newest[0].time
+        return (StreamResumed(time=max(added.started_at, since), video=added.video, interrupted_at=since),)
+    if killed is None:
+        return ()
+    since = min(_last_sign(job, killed[0]), added.started_at)
+    why = f"process {killed[0].process} came to no end: it was killed, or the machine stopped"
+    return (
+        StreamInterrupted(time=since, video=killed[0].video, why=why),
+        StreamResumed(time=added.started_at, video=added.video, interrupted_at=since),
+    )
+
+
+def _last_sign(job: Job, killed: ProcessStarted) -> datetime:
+    """When a process that was killed was last heard of."""
     points = job.stream(TrackPoint)
     newest = [segment.header.time_max for segment in job.log.read(points, job.log.stream_head(points).sequence)]
-    last = min(max([killed.time, *([progress.time] if progress else []), *newest]), added.started_at)
-    why = f"process {killed.process} came to no end: it was killed, or the machine stopped"
-    _append_first(job, StreamInterrupted(time=last, video=killed.video, why=why))
-    _append_first(job, StreamResumed(time=added.started_at, video=added.video, interrupted_at=last))
+    progress = job.said.newest_about(ProcessProgressed, killed.process)
+    return max([killed.time, *([progress[0].time] if progress else []), *newest])
 
 
-def _say_back(job: Job, added: VideoAdded) -> None:
-    """Say that the stream is back, where a process ended while it was away."""
-    newest = job.said.newest(StreamInterrupted)
-    if newest is None:
-        return
-    lost = newest[0]
-    if all(back.interrupted_at != lost.time for back, _ in job.said.every(StreamResumed)):
-        time = max(added.started_at, lost.time)
-        _append_first(job, StreamResumed(time=time, video=added.video, interrupted_at=lost.time))
-
-
-def _start(job: Job, added: VideoAdded, process: str) -> tuple[ProcessStarted, int]:
+def _start(job: Job, added: VideoAdded, process: str, before: Iterable[EventType] = ()) -> tuple[ProcessStarted, int]:
+    """Say that the process begins, and what is to be said before, at once: a kill leaves all of it or nothing."""
     configuration = job.config.model_dump(mode="json") | job.options | job.camera.description
     event = ProcessStarted(
         time=job.stamp(added.started_at),
@@ -560,14 +579,14 @@ def _start(job: Job, added: VideoAdded, process: str) -> tuple[ProcessStarted, i
         configuration=json.dumps(configuration, sort_keys=True),
         video=added.video,
     )
-    return event, _append_first(job, event)
+    return event, _append_first(job, *before, event)
 
 
-def _append_first(job: Job, event: EventType) -> int:
-    """Append one event behind the head of its stream; its position."""
-    stream = job.stream(type(event))
-    draft = encode(stream, batch_of([event]), _producer(job))
-    return job.log.append([draft], [job.log.stream_head(stream).sequence])[0].position
+def _append_first(job: Job, *events: EventType) -> int:
+    """Append events, each behind the head of its stream, in one transaction; the last one's position."""
+    streams = [job.stream(type(event)) for event in events]
+    drafts = [encode(stream, batch_of([event]), _producer(job)) for stream, event in zip(streams, events, strict=True)]
+    return job.log.append(drafts, [job.log.stream_head(stream).sequence for stream in streams])[-1].position
 
 
 def _producer(job: Job) -> Producer:

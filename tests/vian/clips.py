@@ -1,11 +1,12 @@
 """Short videos of known content: textured boxes that cross a textured picture."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import av
 import numpy as np
+import numpy.typing as npt
 
 FPS = 10
 WIDTH, HEIGHT = 320, 240
@@ -33,8 +34,18 @@ def write_clip(
     seconds: float = 6.0,
     size: tuple[int, int] = (WIDTH, HEIGHT),
     seed: int = 7,
+    seen: Callable[[float], npt.NDArray[np.uint8]] | None = None,
 ) -> Path:
-    """Write the walks as a video; the same file content means the same for the extractor."""
+    """Write the walks as a video; the same file content means the same for the extractor.
+
+    Args:
+        path: Where to.
+        walks: Who walks.
+        seconds: How long it is, s.
+        size: Width and height, px.
+        seed: Of the picture behind them, and of their own.
+        seen: The picture behind them at a time, s, where it is another one.
+    """
     rng = np.random.default_rng(seed)
     width, height = size
     background = rng.integers(70, 130, (height, width, 3), np.uint8)
@@ -43,7 +54,7 @@ def write_clip(
         stream = container.add_stream("mpeg4", rate=FPS)
         stream.width, stream.height, stream.pix_fmt, stream.bit_rate = width, height, "yuv420p", 4_000_000
         for index in range(round(seconds * FPS)):
-            image = background.copy()
+            image = background.copy() if seen is None else seen(index / FPS)
             for walk in walks:
                 _draw(image, texture, walk, index / FPS)
             container.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="bgr24")))

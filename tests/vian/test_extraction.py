@@ -22,6 +22,7 @@ from events import (
     ProcessProgressed,
     ProcessStarted,
     Producer,
+    SceneChanged,
     StreamName,
     VideoAdded,
     batch_of,
@@ -38,6 +39,7 @@ from store import Log, LogUnavailable
 from tests.conftest import Server
 from tests.events.examples import camera_calibrated
 from tests.extractors.films import film_of_two_sizes
+from tests.extractors.motion.views import view
 from tests.vian.clips import Walk, write_clip
 from tests.vian.samples import START, heads, reopened
 from vian import extraction
@@ -193,11 +195,13 @@ GUESSING = CameraConfig(
 """Says a calibration wherever two have walked, right or wrong: here it is about when it is said, and how often."""
 
 
+LANES = [(0.5, 110, 28), (1.0, 150, 40), (1.5, 190, 52), (2.0, 230, 64)]
+FOUR = [Walk(at, at + 3.5, (20, y), (300, y), (size // 2, size)) for at, y, size in LANES]
+
+
 @pytest.fixture(scope="module")
 def four_walk(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    lanes = [(0.5, 110, 28), (1.0, 150, 40), (1.5, 190, 52), (2.0, 230, 64)]
-    crossing = [Walk(at, at + 3.5, (20, y), (300, y), (size // 2, size)) for at, y, size in lanes]
-    return write_clip(tmp_path_factory.mktemp("clips") / "four.mp4", crossing)
+    return write_clip(tmp_path_factory.mktemp("clips") / "four.mp4", FOUR)
 
 
 def test_the_camera_is_calibrated_while_its_tracks_are_made_and_a_stop_is_made_good(log: Log, four_walk: Path) -> None:
@@ -221,17 +225,46 @@ def test_the_camera_is_calibrated_while_its_tracks_are_made_and_a_stop_is_made_g
     assert not said(log, CameraCalibrated, "door")
 
 
-def test_what_people_say_of_a_camera_while_it_is_extracted_stands(log: Log, four_walk: Path) -> None:
-    def calibrate(_done: int, _expected: int | None) -> None:
-        if not said(log, CameraCalibrated):
-            stream = StreamName.of("brno", "gate", "camera_calibrated")
-            log.append([encode(stream, batch_of([by_hand]), Producer("tests", "1", bytes(32)))], [0])
+def calibrate_by_hand(log: Log) -> CameraCalibrated:
+    event = camera_calibrated(time=START)
+    stream = StreamName.of("brno", "gate", "camera_calibrated")
+    log.append([encode(stream, batch_of([event]), Producer("tests", "1", bytes(32)))], [0])
+    return event
 
-    by_hand = camera_calibrated(time=START)
-    extract_motion(job(log, four_walk, camera=GUESSING, on_progress=calibrate))
-    assert said(log, CameraCalibrated) == [by_hand]
+
+def test_what_people_say_of_a_camera_while_it_is_extracted_stands(log: Log, four_walk: Path) -> None:
+    by_hand: list[CameraCalibrated] = []
+
+    def calibrate(_done: int, _expected: int | None) -> None:
+        if not by_hand:
+            by_hand.append(calibrate_by_hand(log))
+
+    done = extract_motion(job(log, four_walk, camera=GUESSING, on_progress=calibrate))
+    assert said(log, CameraCalibrated) == by_hand
+    kinds = ("track_point", "track_ended", "appearance", "activity_interval")
+    assert done.events == sum(heads(log)[f"brno/gate/{kind}"][0] for kind in kinds), "what was not said does not count"
     extract_motion(job(log, four_walk, camera=GUESSING, run=2))
-    assert said(log, CameraCalibrated) == [by_hand]
+    assert said(log, CameraCalibrated) == by_hand
+
+
+def test_what_was_withheld_of_a_view_is_not_said_of_the_next_after_a_kill(log: Log, tmp_path: Path) -> None:
+    turned = write_clip(tmp_path / "turned.mp4", FOUR, seconds=10, seen=lambda at_s: view(300 if at_s < 6.5 else 340))
+    by_hand: list[CameraCalibrated] = []
+
+    def calibrate_and_be_killed(_done: int, _expected: int | None) -> None:
+        if not by_hand:
+            by_hand.append(calibrate_by_hand(log))
+        if said(log, SceneChanged):
+            raise Stopped
+
+    with pytest.raises(Stopped):
+        extract_motion(job(log, turned, camera=GUESSING, on_progress=calibrate_and_be_killed))
+    assert [change.cause for change in said(log, SceneChanged)] == ["moved"]
+    done = extract_motion(job(log, turned, camera=GUESSING))
+    assert said(log, CameraCalibrated) == by_hand
+    extract_motion(job(log, turned, camera=GUESSING, source="yard"))
+    assert said(log, CameraCalibrated, "yard"), "there was something to withhold"
+    assert done.frames == 100
 
 
 def test_a_second_run_does_nothing(log: Log, clip: Path) -> None:

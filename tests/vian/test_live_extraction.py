@@ -117,6 +117,54 @@ def test_after_a_kill_the_next_run_goes_on_and_says_what_is_missing(log: Log) ->
     assert not {p.track_id for p in before} & {p.track_id for p in points[len(before) :]}
 
 
+@pytest.mark.parametrize("call", range(1, 5))
+def test_a_kill_amid_what_is_said_of_a_kill_loses_no_interruption(
+    log: Log, call: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls, append = 0, Log.append
+
+    def kill(done: int, _: int | None) -> None:
+        if done >= 30:
+            raise Killed
+
+    def append_or_die(self: Log, *arguments: Any, **named: Any) -> Any:
+        nonlocal calls
+        calls += 1
+        if calls == call:
+            raise Killed
+        return append(self, *arguments, **named)
+
+    with rtsp(Camera()) as url:
+        with pytest.raises(Killed):
+            extract_motion(job(log, url, on_progress=kill))
+        with monkeypatch.context() as patched:
+            patched.setattr(Log, "append", append_or_die)
+            with pytest.raises(Killed):
+                extract_motion(job(log, url))
+        extract_motion(job(log, url, **until(10)))
+    watched, starts = said(log, VideoAdded), said(log, ProcessStarted)
+    lost, back = said(log, StreamInterrupted), said(log, StreamResumed)
+    assert [each.video for each in starts] == [each.video for each in watched]
+    assert [each.video for each in lost] == [each.video for each in watched[:-1]]
+    assert [(each.video, each.time) for each in back] == [(each.video, each.started_at) for each in watched[1:]]
+    assert [each.time for each in lost] == [each.interrupted_at for each in back]
+    assert [each.process for each in said(log, ProcessFailed)] == [each.process for each in starts[:-1]]
+
+
+def test_a_process_that_is_killed_while_its_stream_is_away_leaves_one_interruption(log: Log) -> None:
+    def kill(note: str) -> None:
+        if "is interrupted" in note:
+            raise Killed
+
+    with rtsp(Camera(frames=40)) as url:
+        with pytest.raises(Killed):
+            extract_motion(job(log, url, on_note=kill))
+        extract_motion(job(log, url, **until(10)))
+    (lost,), (back,) = said(log, StreamInterrupted), said(log, StreamResumed)
+    assert lost.why == "the live stream is interrupted: the other side ended it"
+    assert (back.interrupted_at, back.time) == (lost.time, said(log, VideoAdded)[-1].started_at)
+
+
 def test_a_stream_that_was_away_when_its_process_ended_is_said_to_be_back(log: Log) -> None:
     notes: list[str] = []
     with rtsp(Camera(frames=40)) as url:
