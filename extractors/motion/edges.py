@@ -27,6 +27,10 @@ BLOCKS_MIN = 6
 ALIKE_MIN = 0.5
 """Cosine between two blocks' gradients from which they show the same."""
 
+DIFFERENT_MAX = 0.5
+"""Pictures show the same if no more than this share of the blocks differs: of one view in other light and with others
+in it less does, of two views nearly all."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sight:
@@ -58,6 +62,34 @@ def share_different(alike: Field, has_edges: npt.NDArray[np.bool_]) -> float:
     """Share of the blocks with edges that differ; 0 where too few have edges to say it."""
     count = int(has_edges.sum())
     return float((alike[has_edges] < ALIKE_MIN).sum() / count) if count >= BLOCKS_MIN else 0.0
+
+
+def is_alike(one: Sight, other: Sight) -> bool:
+    """Whether half of the blocks in which either has edges, or more, show the same."""
+    alike, has_edges = compared(one.gradients, other.gradients)
+    _, others_have = compared(other.gradients, one.gradients)
+    return share_different(alike, has_edges | others_have) <= DIFFERENT_MAX
+
+
+def is_same_view(one: Sight, other: Sight) -> bool:
+    """Whether half of the blocks in which the first has edges, or more, show the same, though in another light.
+
+    The night's infrared light may turn contrasts around, as of leaves before a wall: then edges have their places and
+    orientations, and the opposite directions.
+    """
+    found = (share_different(*compared(of(one), of(other))) for of in (_directions, _orientations))
+    return min(found) <= DIFFERENT_MAX
+
+
+def _directions(seen: Sight) -> Field:
+    return seen.gradients
+
+
+def _orientations(seen: Sight) -> Field:
+    """Gradients with the angle doubled, so that opposite ones are the same."""
+    x, y = seen.gradients[:, :, 0], seen.gradients[:, :, 1]
+    length = np.maximum(np.hypot(x, y), 1e-6)
+    return np.stack([(x * x - y * y) / length, 2 * x * y / length], axis=2)
 
 
 def in_blocks(values: Field) -> Field:

@@ -229,10 +229,9 @@ class _Motion:
         if view.change is not None:
             self._stop("input_changed")
             self._changes.append(self._scene_changed(frame, view.change, frame.image.shape[1] / image.shape[1]))
-            said = f"the camera shows another view ({view.change.cause}): nothing is said of it until it rests"
-            self._gaps.append(Gap(frame.index, GapReason.CAMERA_MOVED, said))
-        if view.has_rested:
-            self._gaps.append(Gap(frame.index, GapReason.CAMERA_RESTS, "the camera rests: its view is learnt anew"))
+        told = _told(view)
+        if told is not None:
+            self._gaps.append(Gap(frame.index, *told))
         return view
 
     def _scene_changed(self, frame: Frame, change: Change, factor: float) -> SceneChanged:
@@ -281,6 +280,20 @@ class _Motion:
     def _dt_s(self, frame: Frame) -> float:
         since_us = frame.time_us - self._last.time_us if self._last else 0
         return min(since_us / 1e6, DT_MAX_S)
+
+
+def _told(view: View) -> tuple[GapReason, str] | None:
+    """What people are told of the view; None if there is no news."""
+    anew = "what is known of its horizon and of metres begins anew"
+    if view.has_rested:
+        said = "the camera rests: its view is learnt anew"
+        return GapReason.CAMERA_RESTS, said if view.change is None else f"{said}; it is another view: {anew}"
+    if view.change is None:
+        return None
+    if view.is_kept:
+        return GapReason.CAMERA_MOVED, f"the camera shows another view than before it was dark: {anew}"
+    said = f"the camera shows another view ({view.change.cause}): nothing is said of it until it rests"
+    return GapReason.CAMERA_MOVED, said
 
 
 def unseen(image: Image, factor: float) -> Seen:

@@ -9,6 +9,10 @@ edges (night, fog) says nothing, and the view counts as kept.
     kept --most blocks differ--> doubtful --still, after lost_s--> lost --no change for rest_s--> kept
       ^                             |
       +-------they agree again------+
+
+What covered the view (a lorry, a hand, the dark) and what is another view cannot be told apart when it is lost. It can
+when the picture stays the same again: if it agrees with the memory of the view that was lost, nothing has changed; else
+the camera was moved. In the dark that waits for light.
 """
 
 from dataclasses import dataclass
@@ -27,6 +31,8 @@ from extractors.motion.edges import (
     Sight,
     compared,
     in_blocks,
+    is_alike,
+    is_same_view,
     share_different,
     sight,
 )
@@ -65,7 +71,7 @@ class View:
     is_doubtful: bool = False
     """whether it may just be losing it: what moves now may be the camera"""
     change: Change | None = None
-    """set in the picture in which the view is given up"""
+    """set in the picture in which the view is given up, or from which on it is known that another one came after it"""
     has_rested: bool = False
     """set in the picture from which on the camera rests again"""
 
@@ -76,11 +82,13 @@ class Steadiness:
     def __init__(self, config: MotionConfig) -> None:
         self._config = config
         self._memory: Sight | None = None
-        self._anchor: Sight | None = None
-        """while the view is lost: what the camera may be resting at"""
+        self._before: Sight | None = None
+        """the view that was lost, until it is known whether it came back"""
+        self._rest: _Rest | None = None
+        """watched from the loss of a view until it is known whether it came back"""
+        self._is_lost = False
         self._since_look_s = LOOK_S
         self._differs_s = 0.0
-        self._rest_s = 0.0
         self._rest_needed_s = config.view_rest_s
         self._kept_s = REST_AGAIN_S
         self._is_doubtful = False
@@ -89,15 +97,15 @@ class Steadiness:
         """What is known with one more picture, `dt_s` after the one before."""
         self._since_look_s += dt_s
         if self._since_look_s < LOOK_S:
-            return View(is_kept=self._anchor is None, is_doubtful=self._is_doubtful)
+            return View(is_kept=not self._is_lost, is_doubtful=self._is_doubtful)
         step_s, self._since_look_s = self._since_look_s, 0.0
-        now = sight(image)
+        now, scale = sight(image), image.shape[1] / WIDTH
         if self._memory is None:
             self._memory = now
             return View()
-        if self._anchor is None:
-            return self._watch(self._memory, now, step_s, image.shape[1] / WIDTH)
-        return self._wait(self._anchor, now, step_s)
+        if self._rest is not None:
+            self._rest.look(now, step_s)
+        return self._wait(now, scale) if self._is_lost else self._watch(self._memory, now, step_s, scale)
 
     def _watch(self, memory: Sight, now: Sight, step_s: float, scale: float) -> View:
         """Compare with the memory; renew it, or give it up."""
@@ -106,26 +114,59 @@ class Steadiness:
         self._is_doubtful = share > self._config.view_lost_share
         self._differs_s = self._differs_s + step_s if self._is_doubtful else 0.0
         self._kept_s += step_s
-        if self._differs_s < self._config.view_lost_s:
-            if not self._is_doubtful:
-                self._memory = _renewed(memory, now, alike, step_s)
-            return View(is_doubtful=self._is_doubtful)
+        if self._differs_s >= self._config.view_lost_s:
+            return self._lose(memory, now, share, scale)
+        if self._is_doubtful:
+            return View(is_doubtful=True)
+        self._memory = _renewed(memory, now, alike, step_s)
+        return View(change=self._other_view(now, scale))
+
+    def _lose(self, memory: Sight, now: Sight, share: float, scale: float) -> View:
+        """Give the view up."""
         change = _change(memory, now, share, scale)
+        self._before = None if change.cause == "moved" else self._before or memory
         was_no_rest = self._kept_s < REST_AGAIN_S
         self._rest_needed_s = min(2 * self._rest_needed_s, REST_MAX_S) if was_no_rest else self._config.view_rest_s
-        self._anchor, self._rest_s, self._is_doubtful = now, 0.0, False
+        self._is_lost, self._is_doubtful, self._rest = True, False, _Rest(now)
         return View(is_kept=False, change=change)
 
-    def _wait(self, anchor: Sight, now: Sight, step_s: float) -> View:
+    def _wait(self, now: Sight, scale: float) -> View:
         """Wait until the picture stays the same for long enough."""
-        self._rest_s += step_s
-        if share_different(*compared(anchor.gradients, now.gradients)) > 0.5:
-            self._anchor, self._rest_s = now, 0.0
-        if self._rest_s < self._rest_needed_s:
+        if not self._is_at_rest:
             return View(is_kept=False)
-        self._memory, self._anchor = now, None
+        self._memory, self._is_lost = now, False
         self._differs_s = self._kept_s = 0.0
-        return View(has_rested=True)
+        return View(has_rested=True, change=self._other_view(now, scale))
+
+    def _other_view(self, now: Sight, scale: float) -> Change | None:
+        """That the picture rests at another view than the one that was lost; None also where that is not known yet."""
+        before = self._before
+        if before is None or not self._is_at_rest or _is_dim(before, now):
+            return None
+        self._before = self._rest = None
+        if is_same_view(before, now):
+            return None
+        shift = _shift(before, now)
+        share = share_different(*compared(before.gradients, now.gradients))
+        return Change("moved", share, None if shift is None else (shift[0] * scale, shift[1] * scale))
+
+    @property
+    def _is_at_rest(self) -> bool:
+        return self._rest is not None and self._rest.lasted_s >= self._rest_needed_s
+
+
+class _Rest:
+    """How long the picture has stayed the same."""
+
+    def __init__(self, anchor: Sight) -> None:
+        self._anchor = anchor
+        self.lasted_s = 0.0
+
+    def look(self, now: Sight, step_s: float) -> None:
+        """Take in the picture that came `step_s` after the one before."""
+        self.lasted_s += step_s
+        if not is_alike(self._anchor, now):
+            self._anchor, self.lasted_s = now, 0.0
 
 
 def _renewed(memory: Sight, now: Sight, alike: Field, step_s: float) -> Sight:
@@ -142,8 +183,13 @@ def _change(memory: Sight, now: Sight, share: float, scale: float) -> Change:
     shift = _shift(memory, now)
     if shift is not None:
         return Change("moved", share, (shift[0] * scale, shift[1] * scale))
+    return Change("covered" if _is_dim(memory, now) else "unknown", share, None)
+
+
+def _is_dim(memory: Sight, now: Sight) -> bool:
+    """Whether the edges are gone, so that nothing can be said of where they are."""
     energy, left = (float((sight.gradients**2).sum()) for sight in (memory, now))
-    return Change("covered" if left < DIM_SHARE * energy else "unknown", share, None)
+    return left < DIM_SHARE * energy
 
 
 def _shift(memory: Sight, now: Sight) -> tuple[float, float] | None:

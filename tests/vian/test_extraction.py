@@ -10,6 +10,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 import psycopg
 import pytest
 
@@ -43,6 +44,7 @@ from tests.extractors.motion.views import view
 from tests.vian.clips import Walk, write_clip
 from tests.vian.samples import START, heads, reopened
 from vian import extraction
+from vian.calibrating import standing_calibration
 from vian.camera_folds import CameraConfig
 from vian.errors import WorldFailed, WrongUsage
 from vian.extraction import Job, extract_motion, media_clock
@@ -265,6 +267,23 @@ def test_what_was_withheld_of_a_view_is_not_said_of_the_next_after_a_kill(log: L
     extract_motion(job(log, turned, camera=GUESSING, source="yard"))
     assert said(log, CameraCalibrated, "yard"), "there was something to withhold"
     assert done.frames == 100
+
+
+@pytest.mark.parametrize("what, causes", [("zoomed", ["unknown", "moved"]), ("a lorry before it", ["unknown"])])
+def test_metres_end_where_another_view_came_and_not_where_something_was_before_it(
+    log: Log, tmp_path: Path, what: str, causes: list[str]
+) -> None:
+    def looks(at_s: float) -> npt.NDArray[np.uint8]:
+        if what == "zoomed" and at_s >= 2:
+            return np.asarray(cv2.resize(view(300)[60:180, 80:240], (320, 240)), np.uint8)
+        is_hidden = what != "zoomed" and 2 <= at_s < 5
+        return view(900 + 80 * at_s) if is_hidden else view(300)
+
+    path = write_clip(tmp_path / "other.mp4", [], seconds=9, seen=looks)
+    by_hand = calibrate_by_hand(log)
+    extract_motion(job(log, path))
+    assert [change.cause for change in said(log, SceneChanged)] == causes
+    assert standing_calibration(log, "brno", "gate") == (by_hand if causes == ["unknown"] else None)
 
 
 def test_a_second_run_does_nothing(log: Log, clip: Path) -> None:
