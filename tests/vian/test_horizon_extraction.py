@@ -126,6 +126,15 @@ def test_a_stop_anywhere_is_made_good(log: Log, walked: Scene, call: int, monkey
     check_said_once(log)
 
 
+def test_again_after_a_kill_is_a_process_of_its_own(log: Log, walked: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    fill(log, walked)
+    stop_at(1, log, monkeypatch)
+    again = extract_horizon(job(log, run=2))
+    killed, second = said(log, ProcessStarted)
+    (finished,) = said(log, ProcessFinished)
+    assert again.process == finished.process == second.process != killed.process
+
+
 def test_a_process_goes_on_in_a_new_life_of_the_log(log: Log, walked: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     fill(log, walked)
     stop_at(2, log, monkeypatch)

@@ -127,6 +127,28 @@ def test_what_does_not_decide_gets_no_event() -> None:
     assert run.finish() == ()
 
 
+@pytest.mark.parametrize(
+    "horizon, why",
+    [
+        (Horizon(0.0, -1e6, np.diag([1e-13, 1e-9])), "math range error"),
+        (Horizon(*CAMERA.horizon, np.zeros((2, 2))), "Matrix is not positive definite"),
+    ],
+    ids=["out of this world", "exact"],
+)
+def test_what_the_numbers_cannot_bear_gets_no_event_and_a_reason(horizon: Horizon, why: str) -> None:
+    run = fold(CAMERA)
+    run.add_horizon(horizon)
+    assert fed(run, walks(CAMERA, people=9, noise_share=0.01)) == []
+    assert run.reason == f"what is known of the camera contradicts its tracks: {why}"
+
+
+def test_a_length_whose_points_may_be_one_says_nothing() -> None:
+    """A point that was marked is off by 1.5 px: these two may be the same, and then there is no logarithm."""
+    assert KnownLength((640.0, 500.0), (641.5, 500.0), 1.0).deviations(CAMERA) == 100.0
+    assert KnownLength((640.0, 500.0), (640.0, 500.0), 1.0).deviations(CAMERA) == 100.0
+    assert abs(KnownLength((640.0, 500.0), (740.0, 500.0), 1.0).deviations(CAMERA)) < 100.0
+
+
 def test_points_that_were_only_expected_and_boxes_cut_off_say_nothing() -> None:
     seen = walks(CAMERA, people=6)
     run = fold(CAMERA)

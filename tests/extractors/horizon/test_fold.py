@@ -5,6 +5,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -169,10 +170,11 @@ def test_nothing_is_said_while_the_camera_turns() -> None:
     assert said(horizon)[1] == []
 
 
-def test_a_moved_camera_begins_anew() -> None:
+@pytest.mark.parametrize("cause", ["moved", "unknown"])
+def test_a_camera_that_may_have_been_moved_begins_anew(cause: Literal["moved", "unknown"]) -> None:
     horizon = folded([walked(view(20, 3)).points])
     assert horizon.estimate() is not None
-    change = SceneChanged(time=START, cause="moved", changed_share=0.9, dx=None, dy=None)
+    change = SceneChanged(time=START, cause=cause, changed_share=0.9, dx=None, dy=None)
     horizon.take_in(batch_of([change.model_copy(update={"cause": "covered"})]))
     assert horizon.estimate() is not None
     horizon.take_in(batch_of([change]))

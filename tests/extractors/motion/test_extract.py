@@ -10,9 +10,9 @@ import pytest
 
 from events import ActivityInterval, Appearance, TrackEnded, TrackPoint
 from extractors import scene
-from extractors.errors import DecoderDied
-from extractors.media import Frame, Gap, GapReason
-from extractors.motion import Extraction, MotionConfig, Seen, extract
+from extractors.errors import DecoderDied, DetectorFailed
+from extractors.media import Frame, Gap, GapReason, Image
+from extractors.motion import Detections, Extraction, MotionConfig, Seen, extract
 from extractors.video import frames
 from tests.extractors.films import film_of_two_sizes
 from tests.extractors.motion.runs import START, Run, run, scored
@@ -217,3 +217,21 @@ def test_the_configuration_has_a_hash_of_its_values() -> None:
     assert MotionConfig().config_hash == MotionConfig().config_hash
     assert len(MotionConfig().config_hash) == 32
     assert MotionConfig(lost_s=3).config_hash != MotionConfig().config_hash
+
+
+def test_what_was_certain_before_a_detector_failed_comes_out() -> None:
+    class FailsAtLast:
+        calls = 0
+
+        def detect(self, image: Image) -> Detections:
+            self.calls += 1
+            if self.calls > 25:
+                raise DetectorFailed("the model stopped")
+            return Detections.clear(np.array([[10.0 + self.calls, 10, 30 + self.calls, 60]]), np.ones(1))
+
+    pictures = [Frame(i, 100_000 * i, np.full((120, 160, 3), 90, np.uint8)) for i in range(40)]
+    steps: list[Extraction] = []
+    with pytest.raises(DetectorFailed, match="the model stopped"):
+        steps.extend(extract(pictures, MotionConfig(), start_time=START, detector=FailsAtLast()))
+    # Points come 0.8 s late, and the interval before ended with frame 19.
+    assert Run(steps).column("frame").max() == 16

@@ -11,6 +11,7 @@ from psycopg.rows import dict_row
 
 from events import (
     EventType,
+    ProcessStarted,
     Producer,
     SceneChanged,
     StreamName,
@@ -18,13 +19,14 @@ from events import (
     batch_of,
     encode,
 )
-from extractors.calibration import Camera
+from extractors.calibration import CalibrationConfig, Camera
 from store import Log, Projector
 from store.field import field_session
 from tests.events.examples import camera_calibrated, track_point
 from tests.extractors.synthetic import walks
 from tests.patterns.walkers import STATION
 from tests.vian.conftest import Ran, Run
+from vian.calibrating import config_for
 from vian.errors import WrongUsage
 from vian.querying import Scope, query
 
@@ -97,6 +99,31 @@ def test_a_camera_is_calibrated_from_its_tracks_once(calibrate: Calibrate, log: 
     mapped = np.array([(row["ground_x"], row["ground_y"]) for row in every])
     told_m = np.array([(row["ground_x_deviation"], row["ground_y_deviation"]) for row in every])
     assert np.median(np.hypot(*(mapped - seen.feet_enu).T) / np.hypot(*told_m.T)) < 2
+
+
+def test_tracks_of_a_model_are_read_by_the_parameters_for_a_models_boxes(
+    calibrate: Calibrate, run: Run, log: Log
+) -> None:
+    def motion_ran(detector: str | None) -> None:
+        values: dict[str, Any] = {"process": f"{detector}", "extractor": "motion", "extractor_version": "2"}
+        configuration = json.dumps({"detector": detector})
+        say(log, ProcessStarted(time=START, video="00", configuration=configuration, **values))
+
+    def found_with() -> set[bytes]:
+        types = ["camera_calibrated", "horizon_estimate"]
+        return {segment.header.producer.configuration_hash for segment in log.read_all(types=types)}
+
+    boxes = CalibrationConfig.of_boxes()
+    add_video(log)
+    motion_ran(None)
+    motion_ran("c0ffee")
+    walk(log, Camera(700.0, 0.4, 0.05, 5.0, 768, 576))
+    assert calibrate("--source", "cam-01").code == 0
+    assert found_with() == {boxes.config_hash}
+    assert run("extract", "horizon", "--source", "cam-01", "--dsn", log.dsn, "--station", STATION).code == 0
+    assert found_with() == {boxes.config_hash, boxes.camera.config_hash}
+    motion_ran(None)
+    assert config_for(log, STATION, "cam-01") == CalibrationConfig()
 
 
 def test_psql_and_central_have_the_same_metres(calibrate: Calibrate, log: Log) -> None:
@@ -206,6 +233,7 @@ def test_too_little_calibrates_nothing_and_says_why(calibrate: Calibrate, log: L
         (("--person-height-m", "nan"), "--person-height-m must be a length above 0, got nan"),
         (("--length", "1,2,3,4"), "--length must be X1,Y1,X2,Y2,METRES such as"),
         (("--length", "1,2,1,2,3"), "--length must be of two points apart"),
+        (("--length", "100,100,105,100,3"), "--length must be of points at least 10 px apart"),
         (("--length", "1,2,90000,4,5"), "the point 90000,4 lies outside the frame"),
     ],
 )
