@@ -65,10 +65,14 @@ def share_different(alike: Field, has_edges: npt.NDArray[np.bool_]) -> float:
 
 
 def is_alike(one: Sight, other: Sight) -> bool:
-    """Whether half of the blocks in which either has edges, or more, show the same."""
+    """Whether half of the blocks in which the first has edges, or more, show the same.
+
+    Where it has too few, those of the other count: a lit picture is not alike a dark one.
+    """
     alike, has_edges = compared(one.gradients, other.gradients)
-    _, others_have = compared(other.gradients, one.gradients)
-    return share_different(alike, has_edges | others_have) <= DIFFERENT_MAX
+    if has_edges.sum() < BLOCKS_MIN:
+        alike, has_edges = compared(other.gradients, one.gradients)
+    return share_different(alike, has_edges) <= DIFFERENT_MAX
 
 
 def is_same_view(one: Sight, other: Sight) -> bool:

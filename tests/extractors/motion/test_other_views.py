@@ -81,6 +81,12 @@ def test_lights_that_go_out_and_on_again_move_no_camera() -> None:
     assert causes(seen(out_and_on(pictures(), pictures()))) == ["covered"]
 
 
+def test_who_stands_before_the_lens_when_lights_go_on_moves_no_camera() -> None:
+    on = round(10 * BACK_S)
+    at_first = [*pictures()[:on], *pictures(replace(CAMERA, pitch_rad=0.5))[on : on + 10], *pictures()[on + 10 :]]
+    assert causes(seen(out_and_on(pictures(), at_first))) == ["covered"]
+
+
 def test_a_camera_that_was_turned_in_the_dark_is_found_out_in_the_light() -> None:
     found = seen(out_and_on(pictures(), pictures(replace(CAMERA, pitch_rad=0.5))))
     assert causes(found) == ["covered", "moved"]
