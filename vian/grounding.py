@@ -3,8 +3,10 @@
 Contract: nothing is stored. Each point is read through the calibration of its own source and station that was valid at
 its time, or through one that the query names by its position in the log; so a later, better calibration changes no
 event, and the same points can be read through both. A calibration is valid from its own time until the camera is
-moved; of several that are valid the one that was said last counts. Where there is none, metres are null; where a
-calibration says no uncertainty, the deviations are.
+moved; of several that are valid the one that was said last counts. One that people gave holds for what its view
+showed before, too: where none is valid, the first of them that was said of the same view counts. Where there is none
+of these, metres are null; where a calibration says no uncertainty, the deviations are. The view of PostgreSQL means
+the same.
 """
 
 import json
@@ -39,6 +41,11 @@ class Calibrated:
     camera: tuple[float, float, float, float] | None
     covariance: Floats | None
     frame_size: tuple[int, int]
+
+    @property
+    def is_given(self) -> bool:
+        """Whether people gave it: what tracks say of a camera has a covariance."""
+        return self.covariance is None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,14 +90,22 @@ def track_ground(
 
 def _valid(known: Known, time_us: Integers, *, is_named: bool) -> Integers:
     """For each time the number of the calibration that counts, `(n,)`; -1 where there is none."""
+    if is_named:
+        return np.full(len(time_us), len(known.calibrations) - 1)
     through = np.full(len(time_us), -1, np.int64)
+    view = _views(known, time_us)
+    said_of = _views(known, np.array([each.time_us for each in known.calibrations], np.int64))
     for number, each in enumerate(known.calibrations):
-        if is_named:
-            through[:] = number
-            continue
-        end_us = next((at for at in known.moves_us if at > each.time_us), np.iinfo(np.int64).max)
-        through[(time_us >= each.time_us) & (time_us < end_us)] = number
+        through[(view == said_of[number]) & (time_us >= each.time_us)] = number
+    for number, each in enumerate(known.calibrations):
+        if each.is_given:
+            through[(view == said_of[number]) & (through < 0)] = number
     return through
+
+
+def _views(known: Known, time_us: Integers) -> Integers:
+    """How often the camera had been moved by these times: which of its views it had."""
+    return np.searchsorted(np.array(known.moves_us, np.int64), time_us, "right")
 
 
 def _of_sources(points: pa.Table, known: dict[Key, Known]) -> Iterator[tuple[Known, Integers]]:

@@ -138,7 +138,7 @@ def test_a_later_calibration_edits_nothing_and_points_can_be_read_through_it(log
     asked += "order by source, time"
     told = [(row["source"], row["ground_x"], row["ground_speed"], row["c"]) for row in rows(log, asked)]
     assert told == [
-        ("cam-01", None, None, None),  # before the first calibration
+        ("cam-01", 1.0, 0.5, first),  # by hand: of what was before it, too
         ("cam-01", 1.0, 0.5, first),
         ("cam-01", 1.0, 0.5, first),
         ("cam-01", 2.0, 1.0, better),
@@ -168,9 +168,9 @@ def test_a_calibration_ends_where_the_camera_is_moved_and_what_is_said_later_of_
         say(log, SceneChanged(time=START + timedelta(seconds=second), **values))
     calibrate(0.2, 4)
     asked = "select round(ground_x * 7.68, 3) as x from track_ground order by time"  # of 768 px for 100
-    assert [row["x"] for row in rows(log, asked)] == [None, 1.0, 1.0, None, 2.0, 2.0]
+    assert [row["x"] for row in rows(log, asked)] == [1.0, 1.0, 1.0, 2.0, 2.0, 2.0]
     calibrate(0.3, 0)  # of the whole of the first view, said afterwards
-    assert [row["x"] for row in rows(log, asked)] == [3.0, 3.0, 3.0, None, 2.0, 2.0]
+    assert [row["x"] for row in rows(log, asked)] == [3.0, 3.0, 3.0, 2.0, 2.0, 2.0]
 
 
 def test_points_are_scaled_from_the_size_that_their_frames_had(log: Log) -> None:
