@@ -9,9 +9,13 @@ from psycopg.rows import dict_row
 
 from events import CameraCalibrated, EventType, Producer, SceneChanged, StreamName, VideoAdded, batch_of, encode
 from extractors.calibration import Camera
+from patterns.binding.binder import bind
+from patterns.files.loading import parse_rule
+from patterns.processor import ProcessorLimits, schemas
 from store import Log, Projector
 from tests.events.examples import camera_calibrated, track_point
 from tests.patterns.walkers import STATION
+from vian.backtesting import Span, backtested
 from vian.querying import query
 
 START = datetime(2026, 1, 1, 12, tzinfo=UTC)
@@ -124,6 +128,41 @@ def test_both_doors_give_the_same_metres_of_random_cameras(log: Log) -> None:
     for row, used in through:
         first, last = sorted((row["time"], used.time))
         assert not any(first < moved <= last for moved in moves.get(row["source"], [])), row
+
+
+FOUND = found(3, Camera(90.0, 0.6, 0.0, 5.0, 100, 80))
+
+
+@pytest.mark.parametrize(
+    "said,known",
+    [
+        ([FOUND, change(5), given(8)], "...0055555"),
+        ([FOUND, given(8)], "5550000055"),  # what tracks said was valid from its time on
+        ([given(2), change(3, "unknown"), change(5), given(6, 0.2), given(8, 0.1)], "5555500055"),
+        ([change(3), change(6), given(8)], "......5555"),
+    ],
+)
+def test_a_rule_over_the_past_has_the_metres_that_queries_have(log: Log, said: list[EventType], known: str) -> None:
+    say(log, "gate", video(0, (100, 80)))
+    for second in range(10):
+        for event in said:
+            if event.time == at(second):
+                say(log, "gate", event)
+        # The first is final when the second comes, so it is judged by what is known now.
+        say(log, "gate", point(second, 50, 70), track_point(time=at(second) + timedelta(seconds=0.5), x=-1.0))
+    rule = parse_rule(
+        "rule: where\nversion: 1\ntitle: where\nseverity: info\ntime: {lateness: 0 s}\nmatch: |\n"
+        "  SELECT * FROM track_point MATCH_RECOGNIZE (PARTITION BY source ORDER BY time, sequence\n"
+        "    MEASURES LAST(A.time) AS at, ground_x(LAST(A.x), LAST(A.y)) AS east\n"
+        "    PATTERN (A) DEFINE A AS x = 50 AND ground_x(x, y) > -1)\n"
+    )
+    bound = bind(rule, schemas(log.catalogue))
+    matches = backtested(log, bound, Span(), ProcessorLimits(), lambda position: None).matches
+    rows = [row for row in metres(log) if row["x"] == 50]
+    assert "".join("." if row["ground_x"] is None else f"{row['ground_x']:.0f}"[-1] for row in rows) == known
+    assert [(each.measures["at"], each.measures["east"]) for each in matches] == [
+        (row["time"], row["ground_x"]) for row in rows if row["ground_x"] is not None
+    ]
 
 
 def _happening(random: np.random.Generator) -> EventType:
