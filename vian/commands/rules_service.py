@@ -55,7 +55,7 @@ def register(app: typer.Typer) -> None:
 
 
 def deploy_rules(
-    paths: Annotated[list[Path], typer.Argument(help="Rule files, or folders of them.")],
+    paths: Annotated[list[Path], typer.Argument(help="Rule files, or folders of them.", callback=options.existing)],
     begin: Annotated[
         str | None,
         typer.Option(

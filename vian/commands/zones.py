@@ -107,7 +107,9 @@ def remove_zone(
 
 @app.command(name="import", epilog="Example: vian zones import zones.yaml --reason 'survey of June'")
 def import_zones(
-    file: Annotated[Path, typer.Argument(help="A YAML file with `zones:` and `lines:` as in rule files.")],
+    file: Annotated[
+        Path, typer.Argument(help="A YAML file with `zones:` and `lines:` as in rule files.", callback=options.existing)
+    ],
     author: Author = None,
     reason: Reason = None,
     data_dir: options.DataDir = None,
@@ -148,7 +150,10 @@ def calibrate_source(
     source: Annotated[str, typer.Argument(help="The source to calibrate.")],
     file: Annotated[
         Path,
-        typer.Argument(help="A YAML file with `points:`, four or more, each with `px:` x, y and `m:` east, north."),
+        typer.Argument(
+            help="A YAML file with `points:`, four or more, each with `px:` x, y and `m:` east, north.",
+            callback=options.existing,
+        ),
     ],
     data_dir: options.DataDir = None,
     dsn: options.Dsn = None,

@@ -55,7 +55,7 @@ def test_a_rule_in_shadow_begins_where_it_is_told_to(log: Log, path: Path, run: 
         (("deploy", "{path}", "--from", "noon"), "--from must be a time such as"),
         (("deploy", "{path}", "--from", "2100-01-01T00:00:00Z"), "the log has no event at or after"),
         (("retire", "hihg"), "no version of rule 'hihg' is in service; in service: none"),
-        (("deploy", "{path}.gone"), "cannot be read"),
+        (("deploy", "{path}.gone"), "no such file or folder"),
     ],
 )
 def test_wrong_usage_is_told_with_the_next_step(

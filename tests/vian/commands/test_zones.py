@@ -112,8 +112,8 @@ def test_a_file_that_is_wrong_is_told_with_its_place(run: Run, tmp_path: Path, t
         (("define", "yard", "--source", "cam-01", "--zone", SQUARE, "--units", "feet"), "--units must be normalised"),
         (("define", "a yard", "--source", "cam-01", "--zone", SQUARE), "NAME is 1 to 64 of"),
         (("define", "yard", "--source", "cam/01", "--zone", SQUARE), "source"),
-        (("import", "none.yaml"), "none.yaml cannot be read: No such file"),
-        (("calibrate", "cam-01", "none.yaml"), "none.yaml cannot be read: No such file"),
+        (("import", "none.yaml"), "none.yaml: no such file or folder"),
+        (("calibrate", "cam-01", "none.yaml"), "none.yaml: no such file or folder"),
     ],
 )
 def test_wrong_use_is_told(run: Run, arguments: tuple[str, ...], message: str) -> None:
