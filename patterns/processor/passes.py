@@ -233,9 +233,9 @@ class Pass:
                 if source not in member.uncalibrated:
                     logger.warning(
                         "rule %s version %d asks for metres of source %s, not calibrated yet: till then it finds none. "
-                        "Next: vian zones calibrate %s POINTS.yaml, let people pass while its extraction runs, or "
-                        "leave the source out in the rule's FROM",
-                        member.rule.rule, member.rule.version, source, source,
+                        "Next: vian zones calibrate %s POINTS.yaml --station %s, let people pass while its extraction "
+                        "runs, or leave the source out in the rule's FROM",
+                        member.rule.rule, member.rule.version, source, source, part.segment.stream.station,
                     )  # fmt: skip
                 member.uncalibrated[source] = member.uncalibrated.get(source, 0) + len(part)
 

@@ -16,7 +16,7 @@ from store import Log, Projector
 from tests.events.examples import camera_calibrated, track_point
 from tests.patterns.walkers import STATION
 from vian.backtesting import Span, backtested
-from vian.querying import query
+from vian.querying import Scope, query
 
 START = datetime(2026, 1, 1, 12, tzinfo=UTC)
 PRODUCER = Producer("motion", "1", bytes(32))
@@ -105,6 +105,38 @@ def test_points_that_came_before_their_video_are_scaled_by_its_size(log: Log) ->
     say(log, "gate", video(0, (200, 100)))
     say(log, "gate", video(1, (50, 100)))
     assert [row["ground_x"] for row in metres(log)] == [0.5]
+
+
+def test_what_has_no_metres_is_noted_once_with_the_next_command(
+    log: Log, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def noted(**scope: Any) -> list[str]:
+        caplog.clear()
+        query(log, "select * from track_ground", Scope(**scope))
+        return [each.getMessage() for each in caplog.records]
+
+    say(log, "gate", change(1))
+    for second in range(3):
+        say(log, "gate", point(second))
+        say(log, "street", point(second))
+    calibration = say(log, "gate", given(5))
+    (said,) = noted()
+    assert said == (
+        "track_ground: no calibration holds for 1 of 3 points of gate, 3 of 3 points of street, which have no metres. "
+        f"Next: vian extract calibration --source gate --station {STATION} finds one or says what is missing; "
+        f"vian zones calibrate gate POINTS.yaml --station {STATION}"
+    )
+    assert noted(sources=["gate"], since=at(1)) == []
+    (said,) = noted(calibration=calibration)
+    assert said == (
+        f"track_ground: calibration {calibration} is of gate alone, so 3 of 3 points of street have no metres. "
+        "Next: add --source gate"
+    )
+    monkeypatch.setenv("VIAN_STATION", STATION)
+    assert "--source gate finds one" in noted()[0]
+    for source in ("a", "b", "c"):
+        say(log, source, point(0))
+    assert "1 of 1 points of c and points of 2 more sources, which" in noted()[0]
 
 
 def test_both_doors_give_the_same_metres_of_random_cameras(log: Log) -> None:

@@ -185,13 +185,23 @@ def test_points_are_scaled_from_the_size_that_their_frames_had(log: Log) -> None
 
 
 def test_too_little_calibrates_nothing_and_says_why(calibrate: Calibrate, log: Log) -> None:
-    assert "the log has no video of source cam-01" in calibrate("--source", "cam-01").words
+    ran = calibrate("--source", "cam-01")
+    assert (ran.code, "the log has no video of source cam-01" in ran.words) == (1, True)
+    assert f"Next: vian extract motion VIDEO --source cam-01 --station {STATION}" in ran.words
     add_video(log)
     ran = calibrate("--source", "cam-01")
     assert (ran.code, "the log has no track points of source cam-01" in ran.words) == (1, True)
     say(log, track_point(time=START))
     ran = calibrate("--source", "cam-01")
-    assert (ran.code, "cam-01 is not calibrated: after 1 track points" in ran.out) == (0, True)
+    assert ran.code == 0  # that there is none is an answer
+    assert ran.out == (
+        "cam-01 is not calibrated: no camera follows from 1 track of 1 point: no track has moved yet. "
+        "Next: let more people pass and run this again, or vian zones calibrate cam-01 POINTS.yaml --station "
+        f"{STATION} with points that you know\n"
+    )
+    told = json.loads(calibrate("--source", "cam-01", "--json").out)
+    assert (told["calibrated"], told["tracks"], told["points"], told["appended"]) == (False, 1, 1, 0)
+    assert told["reason"].startswith("no track has moved")
     assert rows(log, "select * from camera_calibrated") == []
 
 
