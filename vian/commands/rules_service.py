@@ -138,7 +138,7 @@ def status(
     output = Output(is_json=as_json)
     with opened(settings, data_dir=data_dir) as log:
         found = [each for each in reports(log, settings.station) if everything or each.state != "retired"]
-        stations = {head.stream.source: head.stream.station for head in log.streams()}
+        stations = {str(head.stream.source): str(head.stream.station) for head in log.streams()}
     if as_json:
         for each in found:
             output.result(_values(each))
