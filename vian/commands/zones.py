@@ -6,7 +6,7 @@ from typing import Annotated, Any, get_args
 import typer
 from pydantic import TypeAdapter, ValidationError
 
-from events import source_name
+from events import VideoAdded, source_name
 from patterns.files.rule import Name
 from patterns.scene.geometry import Line, Units, Zone
 from store import Log
@@ -15,6 +15,7 @@ from vian.clock import utc_now
 from vian.errors import WrongUsage
 from vian.options import opened, settings_for
 from vian.output import Output
+from vian.settings import station_option
 from vian.zoning import (
     Standing,
     calibrate,
@@ -168,15 +169,25 @@ def calibrate_source(
         size = read.frame or frame_size_of(log, settings.station, source)
         if size is None:
             raise WrongUsage(
-                f"the size of {source}'s frames is not known: the log has no video of it. "
-                f"Next: add `frame: [1920, 1080]` to {file}"
+                f"the size of {source}'s frames is not known: the log has no video of it; it has of: {_filmed(log)}. "
+                f"Next: correct the name, or add `frame: [1920, 1080]` to {file}"
             )
         calibration, rms_m = calibrated(read.points, size)
-        calibrate(log, settings.station, source, calibration, rms_m, utc_now())
+        position = calibrate(log, settings.station, source, calibration, rms_m, utc_now())
     values = {"source": source, "points": len(read.points), "rms_m": rms_m, "homography": calibration.matrix}
-    Output(is_json=as_json).result(
-        values, f"{source} is calibrated from {len(read.points)} points; they are met within {rms_m:.3f} m (rms)"
+    met = "four always fit: a fifth shows how well" if len(read.points) == 4 else f"met within {rms_m:.3f} m (rms)"
+    output = Output(is_json=as_json)
+    output.result(values | {"position": position}, f"{source} is calibrated from {len(read.points)} points; {met}")
+    output.note(
+        "It holds from now on, and for earlier footage that none was valid for, back to the camera's last move. All of "
+        f'it is read through it by: vian query "SELECT * FROM track_ground" --source {source} --calibration {position}'
     )
+
+
+def _filmed(log: Log) -> str:
+    """The sources that the log has videos of, each with the option that its station needs."""
+    streams = [head.stream for head in log.streams() if head.stream.type == VideoAdded.type_name]
+    return ", ".join(sorted(f"{each.source}{station_option(each.station)}" for each in streams)) or "none"
 
 
 def _row(each: Standing) -> tuple[Any, ...]:

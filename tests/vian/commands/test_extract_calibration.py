@@ -47,12 +47,12 @@ def say(log: Log, event: EventType, source: str = "cam-01") -> int:
     return log.append([encode(stream, batch_of([event]), PRODUCER)], [log.stream_head(stream).sequence])[0].position
 
 
-def add_video(log: Log) -> None:
+def add_video(log: Log, source: str = "cam-01") -> None:
     size: dict[str, Any] = {"width": 768, "height": 576, "fps": 5.0, "frames_expected": 100, "codec": "h264"}
-    say(log, VideoAdded(time=START, video="00", path="v", started_at=START, **size))
+    say(log, VideoAdded(time=START, video="00", path="v", started_at=START, **size), source)
 
 
-def walk(log: Log, camera: Camera) -> None:
+def walk(log: Log, camera: Camera, source: str = "cam-01") -> None:
     """Let people cross the view of the camera, whose frames are as large as those of `add_video`."""
     seen = walks(camera, people=9, seconds=12, noise_share=0.01, depth=0.18)
     points = []
@@ -64,7 +64,7 @@ def walk(log: Log, camera: Camera) -> None:
                 x=(x1 + x2) / 2, y=y2, x1=x1, y1=y1, x2=x2, y2=y2,
             )
         )  # fmt: skip
-    stream = StreamName.of(STATION, "cam-01", "track_point")
+    stream = StreamName.of(STATION, source, "track_point")
     log.append([encode(stream, batch_of(points), PRODUCER)], [0])
 
 
