@@ -37,7 +37,7 @@ from vian.errors import WorldFailed, WrongUsage
 from vian.exclusive import exclusively
 from vian.said import Said
 from vian.settings import station_option
-from vian.zoning import frame_size_of
+from vian.zoning import filmed, frame_size_of
 
 _READ = tuple(each.type_name for each in (VideoAdded, TrackPoint, SceneChanged))
 """Event types that a calibration is found from; a video says the frame's size."""
@@ -76,7 +76,7 @@ def calibrate_from_tracks(
     if size is None:
         raise WorldFailed(
             f"the log has no video of source {source} of station {station}, and so no size of its frames. "
-            f"Next: vian extract motion VIDEO --source {source}{station_option(station)}"
+            f"Next: {_next(log, station, source)}"
         )
     check_inside(scale, FrameSize(*size))
     with exclusively(log, f"calibration of source {source} of station {station}"):
@@ -196,6 +196,14 @@ def _folded(folds: CameraFolds, batch: EventBatch) -> tuple[EventBatch, ...]:
 def _batches(log: Log, station: str, source: str) -> Iterator[EventBatch]:
     for segment in log.read_all(types=_READ, sources=[source], stations=[station]):
         yield decode(segment, log.catalogue)
+
+
+def _next(log: Log, station: str, source: str) -> str:
+    """The command for a source that has no video here: for that of the same name of another station, or a video."""
+    others = sorted(of for of, name in filmed(log) if name == source)
+    if others:
+        return f"vian extract calibration --source {source}{station_option(others[0])}"
+    return f"vian extract motion VIDEO --source {source}{station_option(station)}"
 
 
 def _noted(batches: Iterable[EventBatch], tracks: set[int]) -> Iterator[EventBatch]:

@@ -239,6 +239,12 @@ def frame_size_of(log: Log, station: str, source: str) -> tuple[int, int] | None
     return size
 
 
+def filmed(log: Log) -> set[tuple[str, str]]:
+    """Station and source of what the log has videos of."""
+    streams = [head.stream for head in log.streams() if head.stream.type == VideoAdded.type_name]
+    return {(str(each.station), str(each.source)) for each in streams}
+
+
 def undefined(log: Log, shared: Iterable[str]) -> list[str]:
     """What is to be said of each shared name that no source of the log has defined."""
     names = {name for _, name in standing(log, None)}

@@ -1,12 +1,13 @@
 """`vian zones`: zones, lines and calibrations that rules share, each change an event of its source."""
 
+from collections.abc import Collection
 from pathlib import Path
 from typing import Annotated, Any, get_args
 
 import typer
 from pydantic import TypeAdapter, ValidationError
 
-from events import VideoAdded, source_name
+from events import source_name
 from patterns.files.rule import Name
 from patterns.scene.geometry import Line, Units, Zone
 from store import Log
@@ -21,6 +22,7 @@ from vian.zoning import (
     calibrate,
     calibrated,
     define,
+    filmed,
     frame_size_of,
     parsed_points,
     points_of,
@@ -76,10 +78,10 @@ def define_zone(
     shape = _shape(name, source, zone, line, units)
     with opened(settings, data_dir=data_dir, is_made=True) as log:
         events = define(log, settings.station, {name: shape}, utc_now(), author=author, reason=reason)
-        sources = sorted({head.stream.source for head in log.streams() if head.stream.type == "video_added"})
+        doubt = _unfilmed(log, settings.station, source)
     output = Output(is_json=as_json)
-    if sources and source not in sources:
-        output.note(f"warning: the log has no video of {source} yet; it has of: {', '.join(sources)}")
+    if doubt is not None:
+        output.note(doubt)
     if not events:
         output.result({"zone": name, "source": source, "changed": False}, f"{source}/{name} stands so already")
     for event in events:
@@ -169,14 +171,17 @@ def calibrate_source(
         size = read.frame or frame_size_of(log, settings.station, source)
         if size is None:
             raise WrongUsage(
-                f"the size of {source}'s frames is not known: the log has no video of it; it has of: {_filmed(log)}. "
-                f"Next: correct the name, or add `frame: [1920, 1080]` to {file}"
+                f"the size of {source}'s frames is not known: the log has no video of it; it has of: "
+                f"{_told(filmed(log))}. Next: correct the name, or add `frame: [1920, 1080]` to {file}"
             )
         calibration, rms_m = calibrated(read.points, size)
         position = calibrate(log, settings.station, source, calibration, rms_m, utc_now())
+        doubt = _unfilmed(log, settings.station, source)
     values = {"source": source, "points": len(read.points), "rms_m": rms_m, "homography": calibration.matrix}
     met = "four always fit: a fifth shows how well" if len(read.points) == 4 else f"met within {rms_m:.3f} m (rms)"
     output = Output(is_json=as_json)
+    if doubt is not None:
+        output.note(doubt)
     output.result(values | {"position": position}, f"{source} is calibrated from {len(read.points)} points; {met}")
     output.note(
         "It holds from now on, and for earlier footage that none was valid for, back to the camera's last move. All of "
@@ -184,10 +189,17 @@ def calibrate_source(
     )
 
 
-def _filmed(log: Log) -> str:
-    """The sources that the log has videos of, each with the option that its station needs."""
-    streams = [head.stream for head in log.streams() if head.stream.type == VideoAdded.type_name]
-    return ", ".join(sorted(f"{each.source}{station_option(each.station)}" for each in streams)) or "none"
+def _unfilmed(log: Log, station: str, source: str) -> str | None:
+    """What is to be said where the log has videos, and none of this source; None: nothing."""
+    known = filmed(log)
+    if not known or (station, source) in known:
+        return None
+    return f"warning: the log has no video of {source} of station {station} yet; it has of: {_told(known)}"
+
+
+def _told(known: Collection[tuple[str, str]]) -> str:
+    """The sources, each with the option that its station needs."""
+    return ", ".join(f"{source}{station_option(station)}" for station, source in sorted(known)) or "none"
 
 
 def _row(each: Standing) -> tuple[Any, ...]:

@@ -184,11 +184,13 @@ def test_points_are_scaled_from_the_size_that_their_frames_had(log: Log) -> None
     assert found == [(10.0, 20.0), (5.0, 20.0)]
 
 
-def test_too_little_calibrates_nothing_and_says_why(calibrate: Calibrate, log: Log) -> None:
+def test_too_little_calibrates_nothing_and_says_why(calibrate: Calibrate, log: Log, run: Run) -> None:
     ran = calibrate("--source", "cam-01")
     assert (ran.code, "the log has no video of source cam-01" in ran.words) == (1, True)
     assert f"Next: vian extract motion VIDEO --source cam-01 --station {STATION}" in ran.words
     add_video(log)
+    elsewhere = run("extract", "calibration", "--source", "cam-01", "--dsn", log.dsn)
+    assert f"Next: vian extract calibration --source cam-01 --station {STATION}" in elsewhere.words
     ran = calibrate("--source", "cam-01")
     assert (ran.code, "the log has no track points of source cam-01" in ran.words) == (1, True)
     say(log, track_point(time=START))

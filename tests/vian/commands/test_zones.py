@@ -136,6 +136,11 @@ def test_a_camera_is_calibrated_from_points(zones, log: Log, tmp_path: Path) -> 
     words = zones("calibrate", "cam-01", file).words
     assert "the size of cam-01's frames is not known" in words
     assert f"it has of: gate --station {STATION}. Next: correct the name, or add `frame: [1920, 1080]` to" in words
+    (tmp_path / "sized.yaml").write_text(file.read_text() + "frame: [100, 100]\n")
+    words = zones("calibrate", "gtae", tmp_path / "sized.yaml").words
+    assert f"no video of gtae of station {STATION} yet; it has of: gate --station {STATION}" in words
+    assert "no video of gtae" in zones("define", "yard", "--source", "gtae", "--zone", SQUARE).words
+    assert "warning" not in zones("define", "yard", "--source", "gate", "--zone", SQUARE).words
     add_video(log, "cam-01")
     ran = zones("calibrate", "cam-01", file, "--json")
     assert ran.code == 0, ran.err
@@ -143,7 +148,7 @@ def test_a_camera_is_calibrated_from_points(zones, log: Log, tmp_path: Path) -> 
     assert values["rms_m"] < 1e-9
     assert f"--source cam-01 --calibration {values['position']}" in ran.words
     assert "from 4 points; four always fit: a fifth shows how well" in zones("calibrate", "cam-01", file).out
-    event, _ = [
+    _, event, _ = [
         each
         for segment in log.read_all(types=["camera_calibrated"])
         for each in events_of(decode(segment, log.catalogue))
