@@ -86,7 +86,7 @@ def test_metres_come_by_tracks_and_by_hand_and_a_rule_has_them(
     Path("points.yaml").write_text(points)
     Path("fast.yaml").write_text(rule)
     told: dict[str, Ran] = {}
-    for command in re.split(r"^vian ", "".join(blocks("metres.md", "sh")), flags=re.MULTILINE)[1:]:
+    for command in re.split(r"^vian ", "".join(blocks("metres.md", "sh")).replace("\\\n", " "), flags=re.MULTILINE)[1:]:
         here = re.sub(r"--subject \S+ --at \S+", "--subject 3 --at 2026-01-01T12:00:05Z", command)
         if here.startswith("extract motion"):
             continue
