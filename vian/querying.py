@@ -93,7 +93,7 @@ class Scope:
     sources: Sequence[str] | None = None
     stations: Sequence[str] | None = None
     calibration: int | None = None
-    """Position of the calibration through which `track_ground` reads all points; None: the one valid at their time."""
+    """Position of the calibration through which `track_ground` reads all of its view; None: that of each time."""
     is_as_at_central: bool = False
     """Whether tables have the columns `id` and `type` too, as they have for questions to central."""
 
@@ -237,7 +237,10 @@ def _without_metres(table: pa.Table, calibrations: pa.Table, named: int | None) 
     which += f" and points of {len(lacking) - _NAMED_MOST} more sources" if len(lacking) > _NAMED_MOST else ""
     if named is not None:
         of = calibrations.filter(pc.equal(calibrations.column("position"), named)).column("source")[0]
-        return f"{GROUND}: calibration {named} is of {of} alone, so {which} have no metres. Next: add --source {of}"
+        return (
+            f"{GROUND}: calibration {named} is of one view of {of}, between two moves, so {which} have no metres. "
+            f"Next: add --source {of}, or leave --calibration out: then each point is read through that of its time"
+        )
     station = station_option(station)
     return (
         f"{GROUND}: no calibration holds for {which}, which have no metres. Next: vian extract calibration --source "

@@ -129,8 +129,9 @@ def test_what_has_no_metres_is_noted_once_with_the_next_command(
     assert noted(sources=["gate"], since=at(1)) == []
     (said,) = noted(calibration=calibration)
     assert said == (
-        f"track_ground: calibration {calibration} is of gate alone, so 3 of 3 points of street have no metres. "
-        "Next: add --source gate"
+        f"track_ground: calibration {calibration} is of one view of gate, between two moves, so 1 of 3 points of "
+        "gate, 3 of 3 points of street have no metres. "
+        "Next: add --source gate, or leave --calibration out: then each point is read through that of its time"
     )
     monkeypatch.setenv("VIAN_STATION", STATION)
     assert "--source gate finds one" in noted()[0]
@@ -157,7 +158,10 @@ def test_both_doors_give_the_same_metres_of_random_cameras(log: Log) -> None:
     through = [(row, said[row["calibration_position"]]) for row in rows if row["calibration_position"] is not None]
     assert len(rows) > len(through) > 50
     assert any(used.time > row["time"] for row, used in through)
-    for row, used in through:
+    every = [row for at in said for row in query(log, "select * from track_ground", Scope(calibration=at)).to_pylist()]
+    named = [(row, said[row["calibration_position"]]) for row in every if row["calibration_position"] is not None]
+    assert len(named) > len(through)
+    for row, used in through + named:
         first, last = sorted((row["time"], used.time))
         assert not any(first < moved <= last for moved in moves.get(row["source"], [])), row
 
