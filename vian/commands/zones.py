@@ -185,7 +185,7 @@ def calibrate_source(
     output.result(values | {"position": position}, f"{source} is calibrated from {len(read.points)} points; {met}")
     output.note(
         "It holds from now on, and for earlier footage that none was valid for, back to the camera's last move. "
-        f'All of the view is read so: vian query "SELECT * FROM track_ground" --source {source} --calibration {position}'
+        f'All of the view: vian query "SELECT * FROM track_ground" --source {source} --calibration {position}'
     )
 
 
