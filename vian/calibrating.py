@@ -36,7 +36,8 @@ from vian.camera_folds import CameraConfig, CameraFolds
 from vian.errors import WorldFailed, WrongUsage
 from vian.exclusive import exclusively
 from vian.said import Said
-from vian.zoning import frame_size_of
+from vian.settings import station_option
+from vian.zoning import filmed, frame_size_of
 
 _READ = tuple(each.type_name for each in (VideoAdded, TrackPoint, SceneChanged))
 """Event types that a calibration is found from; a video says the frame's size."""
@@ -47,12 +48,14 @@ class Calibrating:
     """What it came to.
 
     Attributes:
-        points: Track points read.
+        tracks: Tracks read.
+        points: Their points.
         newest: The newest calibration of this run; None: the tracks decide none.
         appended: Events appended now.
         reason: Why the last look said nothing new.
     """
 
+    tracks: int
     points: int
     newest: CameraCalibrated | None
     appended: int
@@ -73,17 +76,18 @@ def calibrate_from_tracks(
     if size is None:
         raise WorldFailed(
             f"the log has no video of source {source} of station {station}, and so no size of its frames. "
-            f"Next: vian extract motion VIDEO --source {source}"
+            f"Next: {_next(log, station, source)}"
         )
     check_inside(scale, FrameSize(*size))
     with exclusively(log, f"calibration of source {source} of station {station}"):
         folds = CameraFolds(FrameSize(*size), CameraConfig(horizon=None, calibration=config, scale=scale))
-        found = list(_of_views(folds, _batches(log, station, source)))
+        tracks: set[int] = set()
+        found = list(_of_views(folds, _noted(_batches(log, station, source), tracks)))
         points = sum(life.sequence for life in log.lives(StreamName.of(station, source, TrackPoint.type_name)))
         if not points:
             raise WorldFailed(
                 f"the log has no track points of source {source} of station {station}. "
-                f"Next: vian extract motion VIDEO --source {source}"
+                f"Next: vian extract motion VIDEO --source {source}{station_option(station)}"
             )
         stream = StreamName.of(station, source, CameraCalibrated.type_name)
         said = [event for event, _ in Said(log, station, source).every(CameraCalibrated)]
@@ -91,7 +95,7 @@ def calibrate_from_tracks(
         if new:
             producer = Producer(NAME, VERSION, config.config_hash)
             log.append([encode(stream, batch_of(new), producer)], [log.stream_head(stream).sequence])
-        return Calibrating(points, found[-1] if found else None, len(new), folds.reason)
+        return Calibrating(len(tracks), points, found[-1] if found else None, len(new), folds.reason)
 
 
 def config_for(log: Log, station: str, source: str) -> CalibrationConfig:
@@ -186,6 +190,22 @@ def _folded(folds: CameraFolds, batch: EventBatch) -> tuple[EventBatch, ...]:
 def _batches(log: Log, station: str, source: str) -> Iterator[EventBatch]:
     for segment in log.read_all(types=_READ, sources=[source], stations=[station]):
         yield decode(segment, log.catalogue)
+
+
+def _next(log: Log, station: str, source: str) -> str:
+    """The command for a source that has no video here: for that of the same name of another station, or a video."""
+    others = sorted(of for of, name in filmed(log) if name == source)
+    if others:
+        return f"vian extract calibration --source {source}{station_option(others[0])}"
+    return f"vian extract motion VIDEO --source {source}{station_option(station)}"
+
+
+def _noted(batches: Iterable[EventBatch], tracks: set[int]) -> Iterator[EventBatch]:
+    """The same batches; whose tracks they are is noted."""
+    for batch in batches:
+        if batch.type is TrackPoint:
+            tracks.update(batch.data.column("track_id").unique().to_pylist())
+        yield batch
 
 
 def calibrations_in(batches: Sequence[EventBatch]) -> list[CameraCalibrated]:

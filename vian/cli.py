@@ -1,8 +1,8 @@
 """The command `vian`: which commands there are, and what an error looks like.
 
-Exit codes: 0 done; 1 the world failed; 2 wrong usage; 130 interrupted with Ctrl-C or SIGTERM (what
-was stored stays; the same command goes on where it stopped). `vian serve` is a service: told to
-stop, it did what it was told, and ends with 0.
+Exit codes: 0 done; 1 the world failed; 2 wrong usage, such as the name of a file that is not there;
+130 interrupted with Ctrl-C or SIGTERM (what was stored stays; the same command goes on where it stopped).
+`vian serve` is a service: told to stop, it did what it was told, and ends with 0.
 """
 
 import os

@@ -1,6 +1,7 @@
 """What a command can end with, and its exit code.
 
-0 done; 1 the world failed (database, file, network); 2 wrong usage (arguments, rules, queries).
+0 done; 1 the world failed (database, file, network); 2 wrong usage (arguments, a file that they name and
+that is not there, rules, queries).
 
 VianError
 ├── WorldFailed     exit code 1

@@ -1,10 +1,12 @@
 """Track points on the ground: position, speed and how well both are known, as a table that queries may name.
 
 Contract: nothing is stored. Each point is read through the calibration of its own source and station that was valid at
-its time, or through one that the query names by its position in the log; so a later, better calibration changes no
-event, and the same points can be read through both. A calibration is valid from its own time until the camera is
-moved; of several that are valid the one that was said last counts. Where there is none, metres are null; where a
-calibration says no uncertainty, the deviations are.
+its time, or, where the camera had the same view, through one that the query names by its position in the log; so a
+later, better calibration changes no event, and the same points can be read through both. A calibration is valid from
+its own time until the camera is moved; of several that are valid the one that was said last counts. One that people
+gave holds for what its view showed before, too: where none is valid, the first of them that was said of the same view
+counts. Where there is none of these, metres are null; where a calibration says no uncertainty, the deviations are. The
+view of PostgreSQL means the same.
 """
 
 import json
@@ -40,6 +42,11 @@ class Calibrated:
     covariance: Floats | None
     frame_size: tuple[int, int]
 
+    @property
+    def is_given(self) -> bool:
+        """Whether people gave it: what tracks say of a camera has a covariance."""
+        return self.covariance is None
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Known:
@@ -62,7 +69,7 @@ def track_ground(
         calibrations: Rows of `camera_calibrated`, of all times.
         videos: Rows of `video_added`, of all times: which frame sizes a source's points are of.
         changes: Rows of `scene_changed`, of all times: when cameras were moved.
-        position: Of the calibration to use throughout; None: for each point the one that was valid at its time.
+        position: Of the calibration to use throughout its view; None: for each point the one valid at its time.
     """
     metres = np.full((len(_METRES), len(points)), np.nan)
     used = np.zeros(len(points), np.int64)
@@ -84,13 +91,19 @@ def track_ground(
 def _valid(known: Known, time_us: Integers, *, is_named: bool) -> Integers:
     """For each time the number of the calibration that counts, `(n,)`; -1 where there is none."""
     through = np.full(len(time_us), -1, np.int64)
+    view = _views(known, time_us)
+    said_of = _views(known, np.array([each.time_us for each in known.calibrations], np.int64))
     for number, each in enumerate(known.calibrations):
-        if is_named:
-            through[:] = number
-            continue
-        end_us = next((at for at in known.moves_us if at > each.time_us), np.iinfo(np.int64).max)
-        through[(time_us >= each.time_us) & (time_us < end_us)] = number
+        through[(view == said_of[number]) & (is_named | (time_us >= each.time_us))] = number
+    for number, each in enumerate(known.calibrations):
+        if each.is_given:
+            through[(view == said_of[number]) & (through < 0)] = number
     return through
+
+
+def _views(known: Known, time_us: Integers) -> Integers:
+    """How often the camera had been moved by these times: which of its views it had."""
+    return np.searchsorted(np.array(known.moves_us, np.int64), time_us, "right")
 
 
 def _of_sources(points: pa.Table, known: dict[Key, Known]) -> Iterator[tuple[Known, Integers]]:

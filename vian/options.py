@@ -15,6 +15,23 @@ from store.schema import migrate
 from vian.errors import WorldFailed, WrongUsage
 from vian.settings import Settings, load_settings
 
+
+def existing(given: Path | list[Path] | None) -> Path | list[Path] | None:
+    """What a command is told to read, if it is there: the callback of each argument and option that names such a path.
+
+    Raises:
+        WrongUsage: It is not there. That nobody may read it is told by who reads it.
+    """
+    for path in [given] if isinstance(given, Path) else given or []:
+        try:
+            path.expanduser().stat()
+        except (FileNotFoundError, NotADirectoryError) as error:
+            raise WrongUsage(f"{path}: no such file or folder. Next: check the name") from error
+        except OSError:
+            continue
+    return given
+
+
 DataDir = Annotated[
     Path | None, typer.Option("--data-dir", help="Folder of the embedded log.", show_default="the user's data folder")
 ]

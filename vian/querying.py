@@ -33,6 +33,7 @@ from events import (
 )
 from store import Log
 from vian.errors import WrongUsage
+from vian.settings import station_option
 
 logger = logging.getLogger(__name__)
 
@@ -73,6 +74,8 @@ _WRITES = (
 )
 GROUND = "track_ground"
 """The table of track points on the ground."""
+_NAMED_MOST = 3
+"""Sources that a note names; of more it says how many."""
 _CLAUSE = "match_recognize"
 _BY_TEXT = "query_table"
 """The function that takes the name of a table as text."""
@@ -90,7 +93,7 @@ class Scope:
     sources: Sequence[str] | None = None
     stations: Sequence[str] | None = None
     calibration: int | None = None
-    """Position of the calibration through which `track_ground` reads all points; None: the one valid at their time."""
+    """Position of the calibration through which `track_ground` reads all of its view; None: that of each time."""
     is_as_at_central: bool = False
     """Whether tables have the columns `id` and `type` too, as they have for questions to central."""
 
@@ -207,7 +210,42 @@ def _ground(log: Log, scope: Scope) -> pa.Table:
             'Next: vian query "SELECT position, source, time, method FROM camera_calibrated"'
         )
     videos, changes = (_rows(log, each, always) for each in (VideoAdded, SceneChanged))
-    return track_ground(points, calibrations, videos, changes, scope.calibration)
+    table = track_ground(points, calibrations, videos, changes, scope.calibration)
+    if (note := _without_metres(table, calibrations, scope.calibration)) is not None:
+        logger.warning(note)
+    return table
+
+
+def _without_metres(table: pa.Table, calibrations: pa.Table, named: int | None) -> str | None:
+    """What is to be said of sources whose points no calibration holds for; None: nothing.
+
+    Args:
+        table: Rows of `track_ground`.
+        calibrations: Rows of `camera_calibrated`.
+        named: Position of the calibration that the query names, if it names one.
+    """
+    counts = table.group_by(["station", "source"]).aggregate([([], "count_all"), ("calibration_position", "count")])
+    lacking = [
+        (row["station"], row["source"], row["count_all"] - row["calibration_position_count"], row["count_all"])
+        for row in counts.sort_by([("station", "ascending"), ("source", "ascending")]).to_pylist()
+        if row["count_all"] > row["calibration_position_count"]
+    ]
+    if not lacking:
+        return None
+    station, source, _, _ = lacking[0]
+    which = ", ".join(f"{lacks} of {count} points of {source}" for _, source, lacks, count in lacking[:_NAMED_MOST])
+    which += f" and points of {len(lacking) - _NAMED_MOST} more sources" if len(lacking) > _NAMED_MOST else ""
+    if named is not None:
+        of = calibrations.filter(pc.equal(calibrations.column("position"), named)).column("source")[0]
+        return (
+            f"{GROUND}: calibration {named} is of one view of {of}, between two moves, so {which} have no metres. "
+            f"Next: add --source {of}, or leave --calibration out: then each point is read through that of its time"
+        )
+    station = station_option(station)
+    return (
+        f"{GROUND}: no calibration holds for {which}, which have no metres. Next: vian extract calibration --source "
+        f"{source}{station} finds one or says what is missing; vian zones calibrate {source} POINTS.yaml{station}"
+    )
 
 
 def _events(log: Log, scope: Scope) -> pa.Table:

@@ -27,7 +27,7 @@ Every command takes `--help`. Results go to standard output; progress, notes and
 |---|---|
 | 0 | done |
 | 1 | the world failed: database, file, network; the message names the next step |
-| 2 | wrong usage: arguments, settings, rules, queries |
+| 2 | wrong usage: arguments, a file that they name and that is not there, settings, rules, queries |
 | 130 | interrupted with Ctrl-C or SIGTERM; what was stored stays, and the same command goes on where it stopped |
 
 `vian serve` is a service: stopped with Ctrl-C or SIGTERM, it did what it was told, and ends with 0.

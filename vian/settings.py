@@ -208,6 +208,11 @@ def load_settings(**given: Any) -> Settings:
         raise WrongUsage(f"the settings file {config_file()} cannot be read: {error}") from error
 
 
+def station_option(station: str) -> str:
+    """What a command needs on its line to be about this station; empty where it is without."""
+    return "" if station == load_settings().station else f" --station {station}"
+
+
 def _explained(error: ValidationError) -> str:
     first = error.errors()[0]
     name = str(first["loc"][0])

@@ -29,7 +29,7 @@ from events import (
     encode,
     events_of,
 )
-from patterns.errors import MatchError
+from patterns.errors import MatchError, RuleError
 from patterns.files.loading import read_document, read_text
 from patterns.files.rule import Name
 from patterns.language.text import Document, did_you_mean
@@ -155,16 +155,18 @@ def zones_of_file(path: Path) -> dict[str, Shape]:
     """The zones and lines of a file.
 
     Raises:
-        RuleError: It is not one; the error has the place.
-        WrongUsage: It cannot be read, has none, or two of one name.
+        WrongUsage: It is not one, which is told with the place, cannot be read, has none, or two of one name.
     """
-    read = _read(path, Zones)
+    read = _read(path, Zones, "vian zones import")
     both = sorted(set(read.zones) & set(read.lines))
     if both:
         raise WrongUsage(f"{path}: {both[0]!r} names both a zone and a line. Next: rename one")
     shapes: dict[str, Shape] = {**read.zones, **read.lines}
     if not shapes:
-        raise WrongUsage(f"{path} has neither zones nor lines; wanted `zones:` or `lines:` as in a rule file")
+        raise WrongUsage(
+            f"{path} has neither zones nor lines; wanted `zones:` or `lines:` as in a rule file. "
+            f"Next: write one into it, or vian zones define NAME --source SOURCE --zone POINTS"
+        )
     return shapes
 
 
@@ -172,10 +174,9 @@ def points_of_file(path: Path) -> Points:
     """The points of a file.
 
     Raises:
-        RuleError: It is not one; the error has the place.
-        WrongUsage: It cannot be read.
+        WrongUsage: It is not one, which is told with the place, or cannot be read.
     """
-    return _read(path, Points)
+    return _read(path, Points, "vian zones calibrate")
 
 
 def calibrated(points: Sequence[GroundPoint], frame_size: tuple[int, int]) -> tuple[Calibration, float]:
@@ -209,8 +210,8 @@ def calibrated(points: Sequence[GroundPoint], frame_size: tuple[int, int]) -> tu
     return calibration, float(np.sqrt(np.mean((east_m - ground[:, 0]) ** 2 + (north_m - ground[:, 1]) ** 2)))
 
 
-def calibrate(log: Log, station: str, source: str, calibration: Calibration, rms_m: float, at: datetime) -> None:
-    """Record the source's calibration."""
+def calibrate(log: Log, station: str, source: str, calibration: Calibration, rms_m: float, at: datetime) -> int:
+    """Record the source's calibration; its position in the log."""
     width, height = calibration.frame_size
     event = CameraCalibrated(
         time=at,
@@ -226,7 +227,7 @@ def calibrate(log: Log, station: str, source: str, calibration: Calibration, rms
         covariance=None,
         scale="points",
     )
-    _append(log, station, source, event)
+    return _append(log, station, source, event)
 
 
 def frame_size_of(log: Log, station: str, source: str) -> tuple[int, int] | None:
@@ -236,6 +237,12 @@ def frame_size_of(log: Log, station: str, source: str) -> tuple[int, int] | None
         if stream.split("/")[1] == source and isinstance(event, VideoAdded):
             size = (event.width, event.height)
     return size
+
+
+def filmed(log: Log) -> set[tuple[str, str]]:
+    """Station and source of what the log has videos of."""
+    streams = [head.stream for head in log.streams() if head.stream.type == VideoAdded.type_name]
+    return {(str(each.station), str(each.source)) for each in streams}
 
 
 def undefined(log: Log, shared: Iterable[str]) -> list[str]:
@@ -270,17 +277,21 @@ def parsed_points(option: str, text: str) -> list[list[float]]:
         try:
             x, y = (float(number) for number in numbers)
         except ValueError as error:
-            raise WrongUsage(f"{option} must be points such as '0.1,0.5 0.6,0.5 0.6,0.9', got {part!r}") from error
+            raise WrongUsage(
+                f"{option} must be points such as '0.1,0.5 0.6,0.5 0.6,0.9', got {part!r}. Next: write them so"
+            ) from error
         points.append([x, y])
     return points
 
 
-def _read(path: Path, model: type[M]) -> M:
+def _read(path: Path, model: type[M], command: str) -> M:
+    """What the YAML file says, which the command takes."""
     try:
-        text = read_text(path)
+        read, _ = read_document(Document(str(path), read_text(path)), model)
     except OSError as error:
-        raise WrongUsage(f"{path} cannot be read: {error.strerror}") from error
-    read, _ = read_document(Document(str(path), text), model)
+        raise WrongUsage(f"{path} cannot be read: {error.strerror}. Next: give a YAML file") from error
+    except RuleError as error:
+        raise WrongUsage(f"{error}\nNext: correct {path}; {command} --help says what it holds") from error
     return read
 
 
@@ -316,10 +327,11 @@ def _versions(log: Log, station: str) -> dict[tuple[str, str], int]:
     return found
 
 
-def _append(log: Log, station: str, source: str, event: EventType) -> None:
+def _append(log: Log, station: str, source: str, event: EventType) -> int:
+    """Append the event; its position."""
     stream = StreamName.of(station, source, type(event).type_name)
     expected = log.stream_head(stream).sequence
-    log.append([encode(stream, batch_of([event]), _producer())], [expected])
+    return log.append([encode(stream, batch_of([event]), _producer())], [expected])[0].position
 
 
 def _producer() -> Producer:

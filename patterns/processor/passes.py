@@ -9,7 +9,7 @@ that follows late.
 """
 
 import logging
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from itertools import accumulate, groupby
@@ -53,6 +53,8 @@ ENDS: tuple[type[EventType], ...] = (ProcessFinished, ProcessFailed)
 CONTROL = (*SITE_TYPES, *ENDS)
 SiteEvent = tuple[EventType, str, int]
 """An event, its stream, and its sequence there."""
+AfterMoves = Mapping[tuple[str, int], SiteEvent]
+"""What people said first of the view that a move of a camera began, by the move's stream and sequence."""
 
 _NOTHING = Outcome()
 _STREAM_COLUMNS = ("station", "source", "type")
@@ -64,7 +66,12 @@ class Pass:
     """Rules at one position of the log. Not for several threads at once."""
 
     def __init__(
-        self, position: int, catalogue: Catalogue, limits: ProcessorLimits, site: Iterable[SiteEvent] = ()
+        self,
+        position: int,
+        catalogue: Catalogue,
+        limits: ProcessorLimits,
+        site: Iterable[SiteEvent] = (),
+        after_moves: AfterMoves | None = None,
     ) -> None:
         """A pass without rules.
 
@@ -73,6 +80,7 @@ class Pass:
             catalogue: The event types there are.
             limits: See `ProcessorLimits`.
             site: What the log up to there says of the cameras, in order.
+            after_moves: What is learnt with a move of a camera: see `after_moves_of`.
         """
         self.position = position
         self.members: dict[str, Member] = {}
@@ -88,6 +96,7 @@ class Pass:
         """For rules that read situations a source that may still lead to some."""
         self._catalogue = catalogue
         self._limits = limits
+        self._after_moves = after_moves or {}
         self._site: dict[tuple[object, ...], SiteEvent] = {}
         self._sets: dict[frozenset[str], RuleSetRun] = {}
         self._events_of: dict[frozenset[str], int] = {}
@@ -224,9 +233,9 @@ class Pass:
                 if source not in member.uncalibrated:
                     logger.warning(
                         "rule %s version %d asks for metres of source %s, not calibrated yet: till then it finds none. "
-                        "Next: vian zones calibrate %s POINTS.yaml, let people pass while its extraction runs, or "
-                        "leave the source out in the rule's FROM",
-                        member.rule.rule, member.rule.version, source, source,
+                        "Next: vian zones calibrate %s POINTS.yaml --station %s, let people pass while its extraction "
+                        "runs, or leave the source out in the rule's FROM",
+                        member.rule.rule, member.rule.version, source, source, part.segment.stream.station,
                     )  # fmt: skip
                 member.uncalibrated[source] = member.uncalibrated.get(source, 0) + len(part)
 
@@ -306,7 +315,9 @@ class Pass:
         if isinstance(event, SceneChanged) and not is_move(event):
             return []
         if not isinstance(event, ENDS):
-            return self._learn(event, str(segment.stream), sequence)
+            findings = self._learn(event, str(segment.stream), sequence)
+            word = self._after_moves.get((str(segment.stream), sequence))
+            return findings if word is None else findings + self._learn(*word)
         ended = str(segment.stream.source)
         self._live = {name: source for name, source in self._live.items() if source != ended}
         findings = []
@@ -436,25 +447,44 @@ def site_at(log: Log, position: int) -> list[SiteEvent]:
     footage was already in the log holds for all of it. A calibration that was found while the footage came holds from
     its turn on, as it did then; and what follows upon a move of the camera never holds before it.
     """
-    names = {str(each.type_name) for each in SITE_TYPES}
-    streams = {head.stream for head in log.streams() if head.stream.type in names}
-    segments = [each for stream in streams for each in log.read_lives(stream)]
     found: list[SiteEvent] = []
     known: set[tuple[object, ...]] = set()
     began: dict[str, datetime] = {}
-    for segment in sorted(segments, key=lambda each: each.position):
-        for at, event in enumerate(_events(segment, log.catalogue)):
-            if isinstance(event, SceneChanged) and not is_move(event):
-                continue
-            stream = str(segment.stream)
-            camera, key = stream.rsplit("/", 1)[0], _what(event, stream)
-            if isinstance(event, VideoAdded):
-                began.setdefault(camera, event.started_at)
-            is_first = key not in known and not _is_of_its_moment(event, began.get(camera))
-            if segment.position <= position or is_first:
-                found.append((event, stream, segment.header.first_sequence + at))
+    for at, (event, stream, sequence) in _said_of_cameras(log):
+        camera, key = _camera(stream), _what(event, stream)
+        if isinstance(event, VideoAdded):
+            began.setdefault(camera, event.started_at)
+        is_of_its_moment = _is_of_its_moment(event, began.get(camera))
+        if at <= position or (key not in known and not is_of_its_moment):
+            found.append((event, stream, sequence))
+        if at <= position and is_move(event):
+            known.discard(key)  # what is said next is the first word of the view that it has now
+        elif at <= position or is_move(event) or not is_of_its_moment:
             known.add(key)
     return found
+
+
+def after_moves_of(log: Log) -> dict[tuple[str, int], SiteEvent]:
+    """The first calibration by hand after each move of a camera: it holds for the footage since the move, too."""
+    found: dict[tuple[str, int], SiteEvent] = {}
+    moved: dict[str, tuple[str, int]] = {}
+    for _, (event, stream, sequence) in _said_of_cameras(log):
+        if is_move(event):
+            moved[_camera(stream)] = stream, sequence
+        elif isinstance(event, CameraCalibrated) and event.covariance is None and _camera(stream) in moved:
+            found[moved.pop(_camera(stream))] = event, stream, sequence
+    return found
+
+
+def _said_of_cameras(log: Log) -> Iterator[tuple[int, SiteEvent]]:
+    """All that the log says of the cameras, each with the position of its segment, in order."""
+    names = {str(each.type_name) for each in SITE_TYPES}
+    streams = {head.stream for head in log.streams() if head.stream.type in names}
+    segments = [each for stream in streams for each in log.read_lives(stream)]
+    for segment in sorted(segments, key=lambda each: each.position):
+        for sequence, event in enumerate(_events(segment, log.catalogue), segment.header.first_sequence):
+            if not isinstance(event, SceneChanged) or is_move(event):
+                yield segment.position, (event, str(segment.stream), sequence)
 
 
 def _is_of_its_moment(event: EventType, began: datetime | None) -> bool:
@@ -470,7 +500,12 @@ def _what(event: EventType, stream: str) -> tuple[object, ...]:
         what = "zone"
     elif isinstance(event, SceneChanged):
         what = CameraCalibrated.type_name
-    return stream.rsplit("/", 1)[0], what, getattr(event, "zone", None)
+    return _camera(stream), what, getattr(event, "zone", None)
+
+
+def _camera(stream: str) -> str:
+    """The station and source of the stream."""
+    return stream.rsplit("/", 1)[0]
 
 
 def _events(segment: Segment, catalogue: Catalogue) -> list[EventType]:

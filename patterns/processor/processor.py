@@ -45,7 +45,7 @@ from patterns.processor.deploying import (
 from patterns.processor.limits import ProcessorLimits
 from patterns.processor.live import Below, live_source, types_below
 from patterns.processor.members import Finding, Member
-from patterns.processor.passes import Pass, RunOneByOne, newest_of, site_at
+from patterns.processor.passes import Pass, RunOneByOne, after_moves_of, newest_of, site_at
 from patterns.processor.saving import (
     Mark,
     mark_name,
@@ -360,7 +360,8 @@ class Processor:
         return rules
 
     def _pass_at(self, position: int) -> Pass:
-        rules = Pass(position, self._log.catalogue, self._limits, site_at(self._log, position))
+        said, after_moves = site_at(self._log, position), after_moves_of(self._log)
+        rules = Pass(position, self._log.catalogue, self._limits, said, after_moves)
         self._plan_save(rules)
         return rules
 

@@ -125,15 +125,15 @@ class Site:
 
     def judged_by(self, name: str, sources: Iterable[str], first_us: int, last_us: int) -> list[Version]:
         """The versions, said by events, that rows of these sources and times (both inclusive) were judged by."""
-        found = []
+        found: dict[tuple[str, int], Version] = {}
         for source in sorted(sources):
             versions = self.versions.get((source, name), [])
             ends = [each.from_us for each in versions[1:]] + [None]
             for version, end_us in zip(versions, ends, strict=False):
                 begins = version.from_us is None or version.from_us <= last_us
                 if begins and (end_us is None or end_us > first_us) and version.said is not None and version.stream:
-                    found.append(version)
-        return found
+                    found.setdefault((version.stream, version.sequence), version)
+        return list(found.values())
 
     def to_json(self) -> dict[str, Any]:
         """What `from_json` takes."""
@@ -157,7 +157,7 @@ class Site:
 
     def _add(self, key: tuple[str, str], version: Version) -> None:
         versions = self.versions.setdefault(key, [])
-        if any((each.stream, each.sequence) == (version.stream, version.sequence) for each in versions):
+        if versions and (versions[-1].stream, versions[-1].sequence) == (version.stream, version.sequence):
             return  # It was known before its turn, and has held since then.
         self.versions[key] = [*versions, version][-VERSIONS_MOST:]
 

@@ -20,7 +20,7 @@ from patterns.errors import MatchError
 from patterns.processor.deploying import Service
 from patterns.processor.limits import ProcessorLimits
 from patterns.processor.members import Finding, Member
-from patterns.processor.passes import CONTROL, Pass, SiteEvent
+from patterns.processor.passes import CONTROL, AfterMoves, Pass, SiteEvent
 from patterns.processor.saving import Mark
 from patterns.scene.site import SITE_TYPES
 
@@ -39,6 +39,7 @@ class Backtest:
         *,
         after: int = 0,
         site: Iterable[SiteEvent] = (),
+        after_moves: AfterMoves | None = None,
         limits: ProcessorLimits | None = None,
         live: Callable[[int], str | None] = lambda position: None,
     ) -> None:
@@ -49,6 +50,7 @@ class Backtest:
             catalogue: The event types there are.
             after: The position behind which the rule begins.
             site: What the log up to there says of the cameras, in order.
+            after_moves: What is learnt with a move of a camera: see `patterns.processor.passes.after_moves_of`.
             limits: Those of the processor.
             live: A source that may still lead to situations that the rule reads, as the log says it up to a position.
         """
@@ -58,9 +60,10 @@ class Backtest:
         rule = bound.rule
         service = Service(rule.rule, rule.version, rule.hash, "", _NEVER, after, after)
         self._member = Member(service, bound, Mark(after))
-        self._pass = Pass(after, catalogue, limits or ProcessorLimits(), said)
+        self._pass = Pass(after, catalogue, limits or ProcessorLimits(), said, after_moves)
         self._pass.add(self._member)
         self._catalogue = catalogue
+        self._after_moves = after_moves or {}
         self._live = live
         for each in said:
             self._learn(*each)
@@ -108,6 +111,9 @@ class Backtest:
             events = events_of(decode(segment, self._catalogue))
             for sequence, event in enumerate(events, segment.header.first_sequence):
                 self._learn(event, str(segment.stream), sequence)
+                word = self._after_moves.get((str(segment.stream), sequence))
+                if word is not None:
+                    self._learn(*word)
 
     def _learn(self, event: Any, stream: str, sequence: int) -> None:
         with suppress(MatchError):  # a rule that needs it has raised

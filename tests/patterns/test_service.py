@@ -27,7 +27,7 @@ from patterns.processor import (
     stored_state,
 )
 from patterns.processor.members import Pace
-from patterns.processor.passes import site_at
+from patterns.processor.passes import after_moves_of, site_at
 from store import Checkpoint, Log, LogUnavailable, Transaction
 from tests.conftest import MakeLog
 from tests.events.examples import camera_calibrated
@@ -554,6 +554,23 @@ def test_a_calibration_that_was_found_while_footage_came_does_not_hold_before_it
     assert before == {"afterwards", "by-hand"}
     behind = [stream.split("/")[1] for _, stream, _ in site_at(log, log.head()) if "video" not in stream]
     assert behind == ["online", "afterwards", "by-hand", "moved", "moved"]
+
+
+def test_a_calibration_by_hand_holds_for_the_footage_since_the_camera_was_moved_and_not_before(log: Log) -> None:
+    moved = SceneChanged(time=T0, cause="moved", changed_share=1.0, dx=None, dy=None)
+    of_tracks = camera_calibrated(method="tracks", covariance="[]", time=T0 + timedelta(seconds=9))
+    first, second = camera_calibrated(time=T0), camera_calibrated(time=T0 + timedelta(hours=1))
+    add_video(log, "gate")
+    for event in (of_tracks, first, moved):
+        say(log, "gate", event)
+    at_move = log.head()
+    for event in (of_tracks, second, second):
+        say(log, "gate", event)
+    assert [event for event, _, _ in site_at(log, 0)][1:] == [first]
+    assert [event for event, _, _ in site_at(log, at_move)][1:] == [of_tracks, first, moved, second]
+    assert after_moves_of(log) == {
+        (f"{STATION}/gate/scene_changed", 1): (second, f"{STATION}/gate/camera_calibrated", 4)
+    }
 
 
 def _breaks_for(name: str, original: Any) -> Any:

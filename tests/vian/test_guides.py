@@ -8,9 +8,12 @@ from pathlib import Path
 import pytest
 
 from events import ProcessFinished, Producer, StreamName, TrackPoint, VideoAdded, batch_of, encode
+from extractors.calibration import Camera
 from extractors.scene import street, truth
 from store import Log
-from tests.vian.conftest import Run
+from tests.patterns.walkers import STATION
+from tests.vian.commands.test_extract_calibration import add_video, walk
+from tests.vian.conftest import Ran, Run
 from tests.vian.samples import START
 from vian.querying import query
 
@@ -70,6 +73,40 @@ def test_the_first_rule_is_made_tried_explained_and_deployed(street_log: Log, ru
     assert "(in shadow: nobody was alerted)" in told["rules explain"]
     for name in ("street.png", "why-not.png", "situation.png"):
         assert Path(name).stat().st_size > 1000
+
+
+def test_metres_come_by_tracks_and_by_hand_and_a_rule_has_them(
+    log: Log, run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("VIAN_DSN", log.dsn)
+    monkeypatch.setenv("VIAN_STATION", STATION)
+    add_video(log, "gate")
+    walk(log, Camera(700.0, 0.4, 0.05, 5.0, 768, 576), "gate")
+    points, rule = blocks("metres.md", "yaml")
+    Path("points.yaml").write_text(points)
+    Path("fast.yaml").write_text(rule)
+    told: dict[str, Ran] = {}
+    for command in re.split(r"^vian ", "".join(blocks("metres.md", "sh")).replace("\\\n", " "), flags=re.MULTILINE)[1:]:
+        here = re.sub(r"--subject \S+ --at \S+", "--subject 3 --at 2026-01-01T12:00:05Z", command)
+        if here.startswith("extract motion"):
+            continue
+        if "--calibration" in here:
+            here = re.sub(r"--calibration \d+", f"--calibration {position_of_the_newest(log)}", here)
+        ran = told[here[:30]] = run(*shlex.split(here))
+        assert ran.code == 0, (command, ran)
+    assert "gate is calibrated from 9 tracks" in told["extract calibration --source gate"[:30]].out
+    assert "gate is calibrated from 5 points; met within 0.0" in told["zones calibrate gate points.yaml"[:30]].out
+    (accuracy,) = [ran.out for start, ran in told.items() if start.startswith('query "SELECT time')]
+    for name in ("focal_deviation_px", "pitch_deviation_deg", "roll_deviation_deg", "height_deviation_m"):
+        assert name in accuracy
+    Path("fast.yaml").write_text(re.sub("^zones:.*$", "shared: [yard]", rule, flags=re.MULTILINE))
+    assert run("rules", "check", "fast.yaml").code == 0
+    assert run("rules", "backtest", "fast.yaml").out == told["rules backtest fast.yaml\n"].out
+
+
+def position_of_the_newest(log: Log) -> int:
+    (found,) = query(log, "select max(position) as newest from camera_calibrated").to_pylist()
+    return int(found["newest"])
 
 
 @pytest.mark.parametrize("guide", sorted(path.name for path in GUIDES.glob("*.md")))

@@ -58,7 +58,9 @@ def backup_log(
 
 
 def restore_log(
-    source: Annotated[Path, typer.Argument(help="Folder that vian backup wrote.", show_default=False)],
+    source: Annotated[
+        Path, typer.Argument(help="Folder that vian backup wrote.", show_default=False, callback=options.existing)
+    ],
     is_verified: Annotated[
         bool, typer.Option("--verify", help="Read the restored log back and recompute every hash.")
     ] = False,

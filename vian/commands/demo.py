@@ -30,7 +30,12 @@ def register(app: typer.Typer) -> None:
 def demo(
     video: Annotated[
         Path | None,
-        typer.Option("--video", help="Video file.", show_default="a sample clip: VIAN_DATA, download, or rendered"),
+        typer.Option(
+            "--video",
+            help="Video file.",
+            show_default="a sample clip: VIAN_DATA, download, or rendered",
+            callback=options.existing,
+        ),
     ] = None,
     rendered: Annotated[
         bool, typer.Option("--rendered", help="Show the street scene that ViAn renders itself; needs no network.")

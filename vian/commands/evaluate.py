@@ -35,10 +35,19 @@ TruthSize = Annotated[
 
 @app.command(epilog="Example: vian evaluate horizon scenes/ --plot errors.svg --overlays pictures/")
 def horizon(
-    path: Annotated[Path, typer.Argument(help="A folder with tracks.csv and truth.json of many scenes, or a video.")],
+    path: Annotated[
+        Path,
+        typer.Argument(
+            help="A folder with tracks.csv and truth.json of many scenes, or a video.", callback=options.existing
+        ),
+    ],
     truth: Annotated[
         Path | None,
-        typer.Option("--truth", help="A video's true horizon: from vian truth horizon, or a Tsai calibration (.xml)."),
+        typer.Option(
+            "--truth",
+            help="A video's true horizon: from vian truth horizon, or a Tsai calibration (.xml).",
+            callback=options.existing,
+        ),
     ] = None,
     methods: Annotated[list[str] | None, typer.Option("--method", help="Only this estimator; may be repeated.")] = None,
     plot: Annotated[Path | None, typer.Option("--plot", help="Draw the errors' distribution (.svg, .png).")] = None,
@@ -72,10 +81,18 @@ def horizon(
 
 @app.command(epilog="Example: vian evaluate tracks gt.txt sort.txt bytetrack.txt gate.mp4 --fps 25")
 def tracks(
-    truth: Annotated[Path, typer.Argument(help="True tracks: MOTChallenge gt.txt, or a PETS annotation (.xml).")],
+    truth: Annotated[
+        Path,
+        typer.Argument(
+            help="True tracks: MOTChallenge gt.txt, or a PETS annotation (.xml).", callback=options.existing
+        ),
+    ],
     found: Annotated[
         list[Path],
-        typer.Argument(help="A tracker's output, detections (ids -1) that are tracked first, or a video; may be many."),
+        typer.Argument(
+            help="A tracker's output, detections (ids -1) that are tracked first, or a video; may be many.",
+            callback=options.existing,
+        ),
     ],
     fps: Fps = 25.0,
     truth_size: TruthSize = None,
@@ -101,18 +118,32 @@ def tracks(
 
 @app.command(epilog="Example: vian evaluate ground View_001.xml annotation.xml gate.mp4 --fps 7")
 def ground(
-    camera: Annotated[Path, typer.Argument(help="The published calibration: Tsai's model, as PETS has it (.xml).")],
-    truth: Annotated[Path, typer.Argument(help="True tracks in that camera's frames: MOTChallenge or PETS (.xml).")],
+    camera: Annotated[
+        Path,
+        typer.Argument(
+            help="The published calibration: Tsai's model, as PETS has it (.xml).", callback=options.existing
+        ),
+    ],
+    truth: Annotated[
+        Path,
+        typer.Argument(
+            help="True tracks in that camera's frames: MOTChallenge or PETS (.xml).", callback=options.existing
+        ),
+    ],
     found: Annotated[
         Path | None,
         typer.Argument(
-            help="What the camera is calibrated from: its video, or tracks like the truth's.", show_default="none"
+            help="What the camera is calibrated from: its video, or tracks like the truth's.",
+            show_default="none",
+            callback=options.existing,
         ),
     ] = None,
     calibration: Annotated[
         Path | None,
         typer.Option(
-            "--calibration", help="Instead: JSON with homography, width and height, as camera_calibrated has them."
+            "--calibration",
+            help="Instead: JSON with homography, width and height, as camera_calibrated has them.",
+            callback=options.existing,
         ),
     ] = None,
     fps: Fps = 25.0,

@@ -93,7 +93,7 @@ def export_evidence(
 
 @app.command(name="verify", epilog="Example: vian evidence verify evidence-3f9c2a71")
 def verify_evidence(
-    directory: Annotated[Path, typer.Argument(help="The directory of evidence.")],
+    directory: Annotated[Path, typer.Argument(help="The directory of evidence.", callback=options.existing)],
     manifest: Annotated[
         str | None, typer.Option("--manifest", help="SHA-256 of the manifest, as told at the export.")
     ] = None,

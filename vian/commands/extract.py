@@ -53,7 +53,12 @@ def motion(
     ] = None,
     detector: Annotated[
         Path | None,
-        typer.Option("--detector", help="Model file (ONNX) that finds the objects.", show_default="what moves"),
+        typer.Option(
+            "--detector",
+            help="Model file (ONNX) that finds the objects.",
+            show_default="what moves",
+            callback=options.existing,
+        ),
     ] = None,
     classes: Annotated[
         list[int] | None,
@@ -79,10 +84,14 @@ def motion(
         typer.Option("--resize", help="Largest size of a picture, such as 1280x720; events stay in the video's px."),
     ] = None,
     mask: Annotated[
-        Path | None, typer.Option("--mask", help="PNG that is white where motion is ignored, black where not.")
+        Path | None,
+        typer.Option(
+            "--mask", help="PNG that is white where motion is ignored, black where not.", callback=options.existing
+        ),
     ] = None,
     login_file: Annotated[
-        Path | None, typer.Option("--login-file", help="File with `user:password` for the address.")
+        Path | None,
+        typer.Option("--login-file", help="File with `user:password` for the address.", callback=options.existing),
     ] = None,
     again: Again = 1,
     data_dir: options.DataDir = None,
@@ -206,14 +215,22 @@ app.command(epilog=extract_calibration.EXAMPLE)(extract_calibration.calibration)
 def _place(video: str, login_file: Path | None) -> Path | Address:
     """What the command line names, with its login."""
     place = parsed(video)
+    if isinstance(place, Path):
+        options.existing(place)
     if login_file is None:
         return place
     if not isinstance(place, Address):
         raise WrongUsage(f"--login-file is for an address, got the file {video}. Next: leave it out")
     try:
-        login = login_file.read_text()
-    except (OSError, UnicodeDecodeError) as error:
-        raise WrongUsage(f"--login-file {login_file} cannot be read: {error}") from error
+        login = login_file.read_text(encoding="utf-8")
+    except OSError as error:
+        raise WrongUsage(
+            f"--login-file {login_file} cannot be read: {error.strerror}. Next: chmod u+r {login_file}, or give a file"
+        ) from error
+    except UnicodeDecodeError as error:
+        raise WrongUsage(
+            f"--login-file {login_file} is no text. Next: write `user:password` into it, one line of UTF-8"
+        ) from error
     return place.with_login(login)
 
 
@@ -257,7 +274,10 @@ def _ca_file(settings: Settings) -> Path | None:
     try:
         settings.live_ca_file.read_bytes()
     except OSError as error:
-        raise WrongUsage(f"live_ca_file {settings.live_ca_file} cannot be read: {error.strerror}") from error
+        raise WrongUsage(
+            f"live_ca_file {settings.live_ca_file} cannot be read: {error.strerror}. "
+            "Next: name a file of certificates (PEM) in vian.toml or VIAN_LIVE_CA_FILE"
+        ) from error
     return settings.live_ca_file.absolute()
 
 

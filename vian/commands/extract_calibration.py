@@ -11,7 +11,8 @@ from vian import options
 from vian.calibrating import Calibrating, calibrate_from_tracks, config_for
 from vian.errors import WrongUsage
 from vian.options import opened, settings_for
-from vian.output import Output
+from vian.output import Output, counted
+from vian.settings import station_option
 
 EXAMPLE = "Example: vian extract calibration --source gate --camera-height-m 6.5"
 LENGTH_MIN_PX = 10.0
@@ -43,14 +44,14 @@ def calibration(
     station: options.Station = None,
     as_json: options.Json = False,
 ) -> None:
-    """Calibrate a camera from the upright people among its tracks: from then on rules have metres."""
+    """Calibrate a camera from the upright people among its tracks; or say what is missing, which is no error."""
     scale = scale_of(camera_height_m, length, person_height_m, CalibrationConfig())
     settings = settings_for(data_dir, dsn, station=station)
     with opened(settings, data_dir=data_dir) as log:
         config = config_for(log, settings.station, source)
         done = calibrate_from_tracks(log, settings.station, source, config, scale)
         Projector(log).catch_up()
-    _report(Output(is_json=as_json), source, done)
+    _report(Output(is_json=as_json), source, done, station_option(settings.station))
 
 
 def scale_of(
@@ -87,21 +88,23 @@ def _length(text: str) -> KnownLength:
     return KnownLength((x1, y1), (x2, y2), metres)
 
 
-def _report(output: Output, source: str, done: Calibrating) -> None:
+def _report(output: Output, source: str, done: Calibrating, station: str) -> None:
     event = done.newest
-    values = {"source": source, "points": done.points, "appended": done.appended, "reason": done.reason}
+    values = {"source": source, "tracks": done.tracks, "points": done.points, "appended": done.appended}
+    values |= {"reason": done.reason}
     if event is None:
         output.result(
             values | {"calibrated": False},
-            f"{source} is not calibrated: after {done.points} track points {done.reason}. Next: let more people pass, "
-            f"or vian zones calibrate {source} FILE with points that you know",
+            f"{source} is not calibrated: no camera follows from {counted(done.tracks, 'track')} of "
+            f"{counted(done.points, 'point')}: {done.reason}. Next: let more people pass and run this again, or "
+            f"vian zones calibrate {source} POINTS.yaml{station} with points that you know",
         )
         return
     names = ("focal_px", "pitch_rad", "roll_rad", "height_m", "rms_m", "scale", "covariance")
     values |= {"calibrated": True} | {name: getattr(event, name) for name in names}
     output.result(
         values,
-        f"{source} is calibrated from {done.points} track points: focal length {event.focal_px:.0f} px, "
+        f"{source} is calibrated from {counted(done.tracks, 'track')}: focal length {event.focal_px:.0f} px, "
         f"pitch {math.degrees(event.pitch_rad or 0):.1f}°, roll {math.degrees(event.roll_rad or 0):.1f}°, "
         f"height {event.height_m:.2f} m ({done.appended} events appended)",
     )

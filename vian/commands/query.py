@@ -58,7 +58,7 @@ def query(
         int | None,
         typer.Option(
             "--calibration",
-            help="For `track_ground`: position of the calibration to read all points through.",
+            help="For `track_ground`: position of the calibration to read all points of its view through.",
             min=1,
             show_default="the one valid at each point's time",
         ),

@@ -37,7 +37,7 @@ from vian.rules import check_fit, deploy_all, doubts, files_of, limits_of, load_
 
 app = typer.Typer(help="Write rules, try them on what the log holds, and run them.", no_args_is_help=True)
 
-Paths = Annotated[list[Path], typer.Argument(help="Rule files, or folders of them.")]
+Paths = Annotated[list[Path], typer.Argument(help="Rule files, or folders of them.", callback=options.existing)]
 _STEP_SECONDS = 1.0
 
 

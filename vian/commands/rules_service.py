@@ -14,6 +14,7 @@ from vian.errors import WrongUsage
 from vian.options import opened, settings_for, time_of
 from vian.output import Output
 from vian.rules import check_fit, deploy_all, doubts, load_all
+from vian.settings import station_option
 
 _COLUMNS = (
     "rule",
@@ -55,7 +56,7 @@ def register(app: typer.Typer) -> None:
 
 
 def deploy_rules(
-    paths: Annotated[list[Path], typer.Argument(help="Rule files, or folders of them.")],
+    paths: Annotated[list[Path], typer.Argument(help="Rule files, or folders of them.", callback=options.existing)],
     begin: Annotated[
         str | None,
         typer.Option(
@@ -137,6 +138,7 @@ def status(
     output = Output(is_json=as_json)
     with opened(settings, data_dir=data_dir) as log:
         found = [each for each in reports(log, settings.station) if everything or each.state != "retired"]
+        stations = {str(head.stream.source): str(head.stream.station) for head in log.streams()}
     if as_json:
         for each in found:
             output.result(_values(each))
@@ -150,9 +152,10 @@ def status(
         for source, events in each.uncalibrated.items():
             output.line(f"{each.service.rule} version {each.service.version} found no metres in {events} events of "
                         f"{source}, which is not calibrated")  # fmt: skip
+            of = station_option(stations.get(source, settings.station))
             output.note(
-                f"Next: vian extract calibration --source {source} says what is missing; vian zones calibrate {source} "
-                "POINTS.yaml, or leave the source out in the rule's FROM"
+                f"Next: vian extract calibration --source {source}{of} says what is missing; "
+                f"vian zones calibrate {source} POINTS.yaml{of}, or leave the source out in the rule's FROM"
             )
         gone = each.service.retirement
         if gone is not None and each.state in ("failed", "too_slow"):

@@ -28,7 +28,7 @@ from vian.errors import WorldFailed, WrongUsage
 from vian.output import Output, counted, printable
 from vian.rules import files_of, readable_rules
 
-Paths = Annotated[list[Path], typer.Argument(help="Rule files, or folders of them.")]
+Paths = Annotated[list[Path], typer.Argument(help="Rule files, or folders of them.", callback=options.existing)]
 _TESTS = re.compile(r"^tests:\n(?:[ #].*\n|\n)*", re.MULTILINE)
 _REMARKS = re.compile(r"\A(?:#.*\n)+")
 _NO_TESTS = "# The template's own tests are for its own place; write one here, and run it: vian rules test\n"
@@ -260,7 +260,7 @@ _STYLES = {"-": "red", "+": "green", "?": "yellow", "!": "red"}
 
 
 def expand_rule(
-    file: Annotated[Path, typer.Argument(help="The rule file.")],
+    file: Annotated[Path, typer.Argument(help="The rule file.", callback=options.existing)],
     output_file: Annotated[
         Path | None, typer.Option("--output", "-o", help="Write it to this file.", show_default="print it")
     ] = None,

@@ -75,17 +75,27 @@ def serve(
         Path | None, typer.Option("--stations-file", help="Central: the stations that may replicate.")
     ] = None,
     central: Annotated[str | None, typer.Option("--central", help="Station: address of the central server.")] = None,
-    token_file: Annotated[Path | None, typer.Option("--token-file", help="Station: its token.")] = None,
-    plan: Annotated[Path | None, typer.Option("--plan", help="Station: which streams, in which order.")] = None,
+    token_file: Annotated[
+        Path | None, typer.Option("--token-file", help="Station: its token.", callback=options.existing)
+    ] = None,
+    plan: Annotated[
+        Path | None, typer.Option("--plan", help="Station: which streams, in which order.", callback=options.existing)
+    ] = None,
     tls: Annotated[
         str | None,
         typer.Option("--tls", help="Central: generate makes a certificate that stations pin.", show_default="off"),
     ] = None,
     tls_certificate: Annotated[
-        Path | None, typer.Option("--tls-certificate", help="Central: an operator's certificate and chain, PEM.")
+        Path | None,
+        typer.Option(
+            "--tls-certificate", help="Central: an operator's certificate and chain, PEM.", callback=options.existing
+        ),
     ] = None,
     tls_key: Annotated[
-        Path | None, typer.Option("--tls-key", help="Central: the certificate's key, PEM, without a password.")
+        Path | None,
+        typer.Option(
+            "--tls-key", help="Central: the certificate's key, PEM, without a password.", callback=options.existing
+        ),
     ] = None,
     data_dir: options.DataDir = None,
     dsn: options.Dsn = None,

@@ -21,7 +21,7 @@ from vian.staging import StageFollower, check_fits, deploy_stages, stages_of
 app = typer.Typer(help="Derive relations between objects, and counts over time, as events for rules.",
                   no_args_is_help=True)  # fmt: skip
 
-Paths = Annotated[list[Path], typer.Argument(help="Stage files, or folders that hold some.")]
+Paths = Annotated[list[Path], typer.Argument(help="Stage files, or folders that hold some.", callback=options.existing)]
 _STEP_SECONDS = 1.0
 
 

@@ -40,12 +40,20 @@ def sync(
         typer.Option("--central", help="Address of the central server, if not where it took this station in."),
     ] = None,
     token_file: Annotated[
-        Path | None, typer.Option("--token-file", help="Token of a stations file, where this station is not enrolled.")
+        Path | None,
+        typer.Option(
+            "--token-file",
+            help="Token of a stations file, where this station is not enrolled.",
+            callback=options.existing,
+        ),
     ] = None,
     plan: Annotated[
         Path | None,
         typer.Option(
-            "--plan", help="YAML or TOML file: which streams, in which order.", show_default="the plan that was set"
+            "--plan",
+            help="YAML or TOML file: which streams, in which order.",
+            show_default="the plan that was set",
+            callback=options.existing,
         ),
     ] = None,
     once: Annotated[bool, typer.Option("--once", help="End when central has everything.")] = False,

@@ -31,7 +31,10 @@ app = typer.Typer(help="Choose which streams go to central, from when on, in whi
 _SHOWN = 3
 """Streams named in a line."""
 
-PlanFile = Annotated[Path, typer.Argument(metavar="FILE", help="The plan, YAML; TOML if its name ends in .toml.")]
+PlanFile = Annotated[
+    Path,
+    typer.Argument(metavar="FILE", help="The plan, YAML; TOML if its name ends in .toml.", callback=options.existing),
+]
 
 
 @app.command(epilog="Example: vian sync plan show")

@@ -20,6 +20,7 @@ def horizon(
         typer.Argument(
             help="JSON: width and height of the frame, and groups of segments [x1, y1, x2, y2] on level lines that are "
             "parallel in the world.",
+            callback=options.existing,
         ),
     ],
     output_file: Annotated[

@@ -1,5 +1,6 @@
 """`vian zones`: zones, lines and calibrations that rules share, each change an event of its source."""
 
+from collections.abc import Collection
 from pathlib import Path
 from typing import Annotated, Any, get_args
 
@@ -15,11 +16,13 @@ from vian.clock import utc_now
 from vian.errors import WrongUsage
 from vian.options import opened, settings_for
 from vian.output import Output
+from vian.settings import station_option
 from vian.zoning import (
     Standing,
     calibrate,
     calibrated,
     define,
+    filmed,
     frame_size_of,
     parsed_points,
     points_of,
@@ -75,10 +78,10 @@ def define_zone(
     shape = _shape(name, source, zone, line, units)
     with opened(settings, data_dir=data_dir, is_made=True) as log:
         events = define(log, settings.station, {name: shape}, utc_now(), author=author, reason=reason)
-        sources = sorted({head.stream.source for head in log.streams() if head.stream.type == "video_added"})
+        doubt = _unfilmed(log, settings.station, source)
     output = Output(is_json=as_json)
-    if sources and source not in sources:
-        output.note(f"warning: the log has no video of {source} yet; it has of: {', '.join(sources)}")
+    if doubt is not None:
+        output.note(doubt)
     if not events:
         output.result({"zone": name, "source": source, "changed": False}, f"{source}/{name} stands so already")
     for event in events:
@@ -107,7 +110,9 @@ def remove_zone(
 
 @app.command(name="import", epilog="Example: vian zones import zones.yaml --reason 'survey of June'")
 def import_zones(
-    file: Annotated[Path, typer.Argument(help="A YAML file with `zones:` and `lines:` as in rule files.")],
+    file: Annotated[
+        Path, typer.Argument(help="A YAML file with `zones:` and `lines:` as in rule files.", callback=options.existing)
+    ],
     author: Author = None,
     reason: Reason = None,
     data_dir: options.DataDir = None,
@@ -148,7 +153,10 @@ def calibrate_source(
     source: Annotated[str, typer.Argument(help="The source to calibrate.")],
     file: Annotated[
         Path,
-        typer.Argument(help="A YAML file with `points:`, four or more, each with `px:` x, y and `m:` east, north."),
+        typer.Argument(
+            help="A YAML file with `points:`, four or more, each with `px:` x, y and `m:` east, north.",
+            callback=options.existing,
+        ),
     ],
     data_dir: options.DataDir = None,
     dsn: options.Dsn = None,
@@ -163,15 +171,35 @@ def calibrate_source(
         size = read.frame or frame_size_of(log, settings.station, source)
         if size is None:
             raise WrongUsage(
-                f"the size of {source}'s frames is not known: the log has no video of it. "
-                f"Next: add `frame: [1920, 1080]` to {file}"
+                f"the size of {source}'s frames is not known: the log has no video of it; it has of: "
+                f"{_told(filmed(log))}. Next: correct the name, or add `frame: [1920, 1080]` to {file}"
             )
         calibration, rms_m = calibrated(read.points, size)
-        calibrate(log, settings.station, source, calibration, rms_m, utc_now())
+        position = calibrate(log, settings.station, source, calibration, rms_m, utc_now())
+        doubt = _unfilmed(log, settings.station, source)
     values = {"source": source, "points": len(read.points), "rms_m": rms_m, "homography": calibration.matrix}
-    Output(is_json=as_json).result(
-        values, f"{source} is calibrated from {len(read.points)} points; they are met within {rms_m:.3f} m (rms)"
+    met = "four always fit: a fifth shows how well" if len(read.points) == 4 else f"met within {rms_m:.3f} m (rms)"
+    output = Output(is_json=as_json)
+    if doubt is not None:
+        output.note(doubt)
+    output.result(values | {"position": position}, f"{source} is calibrated from {len(read.points)} points; {met}")
+    output.note(
+        "It holds from now on, and for earlier footage that none was valid for, back to the camera's last move. "
+        f'All of the view: vian query "SELECT * FROM track_ground" --source {source} --calibration {position}'
     )
+
+
+def _unfilmed(log: Log, station: str, source: str) -> str | None:
+    """What is to be said where the log has videos, and none of this source; None: nothing."""
+    known = filmed(log)
+    if not known or (station, source) in known:
+        return None
+    return f"warning: the log has no video of {source} of station {station} yet; it has of: {_told(known)}"
+
+
+def _told(known: Collection[tuple[str, str]]) -> str:
+    """The sources, each with the option that its station needs."""
+    return ", ".join(f"{source}{station_option(station)}" for station, source in sorted(known)) or "none"
 
 
 def _row(each: Standing) -> tuple[Any, ...]:

@@ -173,7 +173,7 @@ def test_a_public_key_that_is_damaged_does_not_keep_from_a_backup(log: Log, run:
 
 
 def test_a_folder_without_a_backup_makes_no_log(run: Run, tmp_path: Path, data_dir: Path) -> None:
-    ran = run("restore", tmp_path / "none", "--data-dir", data_dir)
+    ran = run("restore", tmp_path, "--data-dir", data_dir)
     assert ran.code == 1
     assert "holds no backup: there is no manifest.json. Next: give the folder that vian backup wrote" in ran.words
     assert not data_dir.exists()

@@ -56,7 +56,7 @@ def test_a_demo_ends_with_a_summary_and_the_next_commands(log: Log, central: Log
 @pytest.mark.parametrize(
     "options, code, said",
     [
-        (["--video", "gone.mp4"], 2, "--video must be a video file, got gone.mp4"),
+        (["--video", "."], 2, "--video must be a video file, got ."),
         (["--report", "gone/x.html"], 1, "the report cannot be written to gone/x.html: no such folder. Next: "),
         (["--report", "."], 1, "the report cannot be written to ."),
         (["--video", "text.mp4"], 1, "text.mp4: not a video that can be opened"),

@@ -49,12 +49,12 @@ def say(log: Log, event: EventType, source: str = "cam-01") -> int:
     return log.append([encode(stream, batch_of([event]), PRODUCER)], [log.stream_head(stream).sequence])[0].position
 
 
-def add_video(log: Log) -> None:
+def add_video(log: Log, source: str = "cam-01") -> None:
     size: dict[str, Any] = {"width": 768, "height": 576, "fps": 5.0, "frames_expected": 100, "codec": "h264"}
-    say(log, VideoAdded(time=START, video="00", path="v", started_at=START, **size))
+    say(log, VideoAdded(time=START, video="00", path="v", started_at=START, **size), source)
 
 
-def walk(log: Log, camera: Camera) -> None:
+def walk(log: Log, camera: Camera, source: str = "cam-01") -> None:
     """Let people cross the view of the camera, whose frames are as large as those of `add_video`."""
     seen = walks(camera, people=9, seconds=12, noise_share=0.01, depth=0.18)
     points = []
@@ -66,7 +66,7 @@ def walk(log: Log, camera: Camera) -> None:
                 x=(x1 + x2) / 2, y=y2, x1=x1, y1=y1, x2=x2, y2=y2,
             )
         )  # fmt: skip
-    stream = StreamName.of(STATION, "cam-01", "track_point")
+    stream = StreamName.of(STATION, source, "track_point")
     log.append([encode(stream, batch_of(points), PRODUCER)], [0])
 
 
@@ -165,7 +165,7 @@ def test_a_later_calibration_edits_nothing_and_points_can_be_read_through_it(log
     asked += "order by source, time"
     told = [(row["source"], row["ground_x"], row["ground_speed"], row["c"]) for row in rows(log, asked)]
     assert told == [
-        ("cam-01", None, None, None),  # before the first calibration
+        ("cam-01", 1.0, 0.5, first),  # by hand: of what was before it, too
         ("cam-01", 1.0, 0.5, first),
         ("cam-01", 1.0, 0.5, first),
         ("cam-01", 2.0, 1.0, better),
@@ -195,9 +195,9 @@ def test_a_calibration_ends_where_the_camera_is_moved_and_what_is_said_later_of_
         say(log, SceneChanged(time=START + timedelta(seconds=second), **values))
     calibrate(0.2, 4)
     asked = "select round(ground_x * 7.68, 3) as x from track_ground order by time"  # of 768 px for 100
-    assert [row["x"] for row in rows(log, asked)] == [None, 1.0, 1.0, None, 2.0, 2.0]
+    assert [row["x"] for row in rows(log, asked)] == [1.0, 1.0, 1.0, 2.0, 2.0, 2.0]
     calibrate(0.3, 0)  # of the whole of the first view, said afterwards
-    assert [row["x"] for row in rows(log, asked)] == [3.0, 3.0, 3.0, None, 2.0, 2.0]
+    assert [row["x"] for row in rows(log, asked)] == [3.0, 3.0, 3.0, 2.0, 2.0, 2.0]
 
 
 def test_points_are_scaled_from_the_size_that_their_frames_had(log: Log) -> None:
@@ -211,14 +211,26 @@ def test_points_are_scaled_from_the_size_that_their_frames_had(log: Log) -> None
     assert found == [(10.0, 20.0), (5.0, 20.0)]
 
 
-def test_too_little_calibrates_nothing_and_says_why(calibrate: Calibrate, log: Log) -> None:
-    assert "the log has no video of source cam-01" in calibrate("--source", "cam-01").words
+def test_too_little_calibrates_nothing_and_says_why(calibrate: Calibrate, log: Log, run: Run) -> None:
+    ran = calibrate("--source", "cam-01")
+    assert (ran.code, "the log has no video of source cam-01" in ran.words) == (1, True)
+    assert f"Next: vian extract motion VIDEO --source cam-01 --station {STATION}" in ran.words
     add_video(log)
+    elsewhere = run("extract", "calibration", "--source", "cam-01", "--dsn", log.dsn)
+    assert f"Next: vian extract calibration --source cam-01 --station {STATION}" in elsewhere.words
     ran = calibrate("--source", "cam-01")
     assert (ran.code, "the log has no track points of source cam-01" in ran.words) == (1, True)
     say(log, track_point(time=START))
     ran = calibrate("--source", "cam-01")
-    assert (ran.code, "cam-01 is not calibrated: after 1 track points" in ran.out) == (0, True)
+    assert ran.code == 0  # that there is none is an answer
+    assert ran.out == (
+        "cam-01 is not calibrated: no camera follows from 1 track of 1 point: no track has moved yet. "
+        "Next: let more people pass and run this again, or vian zones calibrate cam-01 POINTS.yaml --station "
+        f"{STATION} with points that you know\n"
+    )
+    told = json.loads(calibrate("--source", "cam-01", "--json").out)
+    assert (told["calibrated"], told["tracks"], told["points"], told["appended"]) == (False, 1, 1, 0)
+    assert told["reason"].startswith("no track has moved")
     assert rows(log, "select * from camera_calibrated") == []
 
 

@@ -55,7 +55,7 @@ def test_a_rule_in_shadow_begins_where_it_is_told_to(log: Log, path: Path, run: 
         (("deploy", "{path}", "--from", "noon"), "--from must be a time such as"),
         (("deploy", "{path}", "--from", "2100-01-01T00:00:00Z"), "the log has no event at or after"),
         (("retire", "hihg"), "no version of rule 'hihg' is in service; in service: none"),
-        (("deploy", "{path}.gone"), "cannot be read"),
+        (("deploy", "{path}.gone"), "no such file or folder"),
     ],
 )
 def test_wrong_usage_is_told_with_the_next_step(
@@ -77,3 +77,24 @@ def test_a_rule_that_was_set_aside_is_told_with_why_and_how_it_comes_back(log: L
     ran = run("rules", "status", *place(log))
     assert "high version 1 was set aside at position" in ran.out
     assert "brings it back" in ran.words
+
+
+def test_what_to_do_for_metres_names_the_station_where_it_is_not_the_usual_one(
+    log: Log, tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "far.yaml"
+    path.write_text(
+        "rule: far\nversion: 1\ntitle: far\nseverity: info\nmatch: |\n"
+        "  SELECT * FROM track_point MATCH_RECOGNIZE (PARTITION BY source ORDER BY time, sequence\n"
+        "    MEASURES LAST(A.x) AS x PATTERN (A) DEFINE A AS ground_y(x, y) > 9)\n"
+    )
+    append(log, points(2))
+    run("rules", "deploy", path, *place(log))
+    processor = Processor(log, "brno")
+    processor.catch_up()
+    processor.save()
+    words = run("rules", "status", *place(log)).words
+    assert "Next: vian extract calibration --source gate --station brno says what is missing" in words
+    assert "vian zones calibrate gate POINTS.yaml --station brno, or leave" in words
+    monkeypatch.setenv("VIAN_STATION", "brno")
+    assert "--source gate says what is missing" in run("rules", "status", *place(log)).words

@@ -122,7 +122,7 @@ def test_a_central_that_cannot_be_reached_is_told(station: Log, run: Run) -> Non
         (["--central", "https://x"], "this station is not enrolled at https://x. Next: vian station invite brno on"),
         (["--central", "http://x.example", "--token-file", TOKEN], "must be reached over https, got http://x.example"),
         (["--central", "x", "--token-file", TOKEN], "central must be an address such as"),
-        (["--central", "https://x", "--token-file", "gone"], "the token file gone cannot be read"),
+        (["--central", "https://x", "--token-file", "gone"], "gone: no such file or folder"),
         (["--central", "https://x", "--token-file", TOKEN, "--plan", "gone.yaml"], "gone.yaml"),
         (["--central", "https://x", "--token-file", TOKEN, "--station", "typo"], "Next: give --station brno"),
         (["--central", "https://x", "--token-file", TOKEN, "--station", "a/b"], "a/b"),
@@ -148,9 +148,9 @@ def test_what_is_missing_or_wrong_is_told_before_anything_is_sent(
 @pytest.mark.parametrize(
     "options, code, said",
     [
-        (["--role", "central", "--tls-certificate", "gone.pem"], 2, "the certificate gone.pem with the key gone.pem"),
-        (["--role", "central", "--tls-key", "gone.pem"], 2, "a key without its certificate. Next: give --tls-cert"),
-        (["--role", "central", "--tls", "generate", "--tls-certificate", "x"], 2, "two certificates: give either"),
+        (["--role", "central", "--tls-certificate", "."], 2, "the certificate . with the key ."),
+        (["--role", "central", "--tls-key", "."], 2, "a key without its certificate. Next: give --tls-cert"),
+        (["--role", "central", "--tls", "generate", "--tls-certificate", "."], 2, "two certificates: give either"),
         (["--role", "central", "--tls", "yes"], 2, "setting tls: Input should be 'off' or 'generate', got 'yes'"),
         (["--role", "central", "--stations-file", "gone.toml"], 2, "the stations file gone.toml cannot be read"),
         (["--role", "station", "--central", "https://x"], 2, "this station is not enrolled at https://x. Next: vian"),

@@ -58,7 +58,7 @@ def test_marks_that_cannot_be_are_wrong_usage(tmp_path: Path, run: Run, said: di
 
 def test_files_that_are_not_there_or_no_json(tmp_path: Path, run: Run) -> None:
     absent = run("truth", "horizon", tmp_path / "none.json")
-    assert (absent.code, "no such file" in absent.words) == (1, True)
+    assert (absent.code, "no such file" in absent.words) == (2, True)
     (tmp_path / "text.json").write_text("kerb: 3")
     assert "not JSON" in run("truth", "horizon", tmp_path / "text.json").words
     (tmp_path / "text.json").write_bytes(b"\xff\xfe\x00")

@@ -98,6 +98,7 @@ def test_a_file_that_is_wrong_is_told_with_its_place(run: Run, tmp_path: Path, t
     ran = run("zones", "import", file)
     assert ran.code == 2
     assert message in ran.words
+    assert "Next: " in ran.words
 
 
 @pytest.mark.parametrize(
@@ -112,8 +113,8 @@ def test_a_file_that_is_wrong_is_told_with_its_place(run: Run, tmp_path: Path, t
         (("define", "yard", "--source", "cam-01", "--zone", SQUARE, "--units", "feet"), "--units must be normalised"),
         (("define", "a yard", "--source", "cam-01", "--zone", SQUARE), "NAME is 1 to 64 of"),
         (("define", "yard", "--source", "cam/01", "--zone", SQUARE), "source"),
-        (("import", "none.yaml"), "none.yaml cannot be read: No such file"),
-        (("calibrate", "cam-01", "none.yaml"), "none.yaml cannot be read: No such file"),
+        (("import", "none.yaml"), "none.yaml: no such file or folder"),
+        (("calibrate", "cam-01", "none.yaml"), "none.yaml: no such file or folder"),
     ],
 )
 def test_wrong_use_is_told(run: Run, arguments: tuple[str, ...], message: str) -> None:
@@ -131,13 +132,23 @@ def test_a_camera_is_calibrated_from_points(zones, log: Log, tmp_path: Path) -> 
             for x, y in ((0, 0), (900, 0), (900, 80), (0, 80))
         )
     )
-    assert "the size of cam-01's frames is not known" in zones("calibrate", "cam-01", file).words
+    add_video(log, "gate")
+    words = zones("calibrate", "cam-01", file).words
+    assert "the size of cam-01's frames is not known" in words
+    assert f"it has of: gate --station {STATION}. Next: correct the name, or add `frame: [1920, 1080]` to" in words
+    (tmp_path / "sized.yaml").write_text(file.read_text() + "frame: [100, 100]\n")
+    words = zones("calibrate", "gtae", tmp_path / "sized.yaml").words
+    assert f"no video of gtae of station {STATION} yet; it has of: gate --station {STATION}" in words
+    assert "no video of gtae" in zones("define", "yard", "--source", "gtae", "--zone", SQUARE).words
+    assert "warning" not in zones("define", "yard", "--source", "gate", "--zone", SQUARE).words
     add_video(log, "cam-01")
     ran = zones("calibrate", "cam-01", file, "--json")
     assert ran.code == 0, ran.err
     (values,) = told(ran)
     assert values["rms_m"] < 1e-9
-    (event,) = [
+    assert f"--source cam-01 --calibration {values['position']}" in ran.words
+    assert "from 4 points; four always fit: a fifth shows how well" in zones("calibrate", "cam-01", file).out
+    _, event, _ = [
         each
         for segment in log.read_all(types=["camera_calibrated"])
         for each in events_of(decode(segment, log.catalogue))
@@ -145,6 +156,27 @@ def test_a_camera_is_calibrated_from_points(zones, log: Log, tmp_path: Path) -> 
     assert isinstance(event, CameraCalibrated)
     matrix = np.array(json.loads(event.homography))
     assert matrix @ [450, 50, 1] / (matrix @ [450, 50, 1])[2] == pytest.approx([45, 5, 1])
+
+
+@pytest.mark.parametrize(
+    "text,message",
+    [
+        ("points: [{px: [1, 2], m: [0, 0]}]\n", "points.yaml:1:9: points: wanted 4 values or more, got 1"),
+        ("points: [{px: [1, 2], metres: [0, 0]}]\n", "points.yaml:1:23: points.0.metres: unknown key"),
+        ("points: [\n", "not YAML"),
+        ("", "a points file is a mapping"),
+    ],
+)
+def test_points_that_are_wrong_are_told_with_their_place_and_what_next(
+    run: Run, tmp_path: Path, text: str, message: str
+) -> None:
+    file = tmp_path / "points.yaml"
+    file.write_text(text)
+    ran = run("zones", "calibrate", "cam-01", file)
+    assert (ran.code, message in ran.words) == (2, True), ran.words
+    assert f"Next: correct {file}; vian zones calibrate --help says what it holds" in ran.words
+    ran = run("zones", "calibrate", "cam-01", tmp_path)
+    assert (ran.code, "cannot be read: Is a directory. Next: give a YAML file" in ran.words) == (2, True)
 
 
 def test_points_that_fix_no_calibration_are_refused() -> None:

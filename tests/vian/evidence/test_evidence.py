@@ -426,7 +426,8 @@ def test_evidence_verify_checks_by_the_installed_copy(bundle: Path, run: Run) ->
 
 
 def test_evidence_verify_refuses_nonsense(run: Run, tmp_path: Path) -> None:
-    ran = run("evidence", "verify", tmp_path / "gone")
+    (tmp_path / "file").touch()
+    ran = run("evidence", "verify", tmp_path / "file")
     assert ran.code == 2
     assert "wanted a directory" in ran.words
 
