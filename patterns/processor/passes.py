@@ -47,6 +47,8 @@ from patterns.scene.site import SITE_TYPES, is_move
 from store import Log
 
 logger = logging.getLogger(__name__)
+UNCALIBRATED = "uncalibrated"
+"""The `kind` of a log record that says of a source that a rule wants its metres, and there are none yet."""
 
 ENDS: tuple[type[EventType], ...] = (ProcessFinished, ProcessFailed)
 """What says that a source will send no more."""
@@ -226,7 +228,7 @@ class Pass:
                         "rule %s version %d asks for metres of source %s, not calibrated yet: till then it finds none. "
                         "Next: vian zones calibrate %s POINTS.yaml, let people pass while its extraction runs, or "
                         "leave the source out in the rule's FROM",
-                        member.rule.rule, member.rule.version, source, source,
+                        member.rule.rule, member.rule.version, source, source, extra={"kind": UNCALIBRATED},
                     )  # fmt: skip
                 member.uncalibrated[source] = member.uncalibrated.get(source, 0) + len(part)
 
