@@ -179,7 +179,8 @@ def _check_beyond(name: str, meeting: Floats, middles: Floats, halves: Floats) -
         x, y = meeting
         raise WrongUsage(
             f"{name}: its lines meet at ({x:.0f}, {y:.0f}), within segment {int(reached.argmin()) + 1}, wanted beyond "
-            "the ends of all: lines that are parallel in the world meet on the horizon, and none crosses it. Next: look whether they are parallel in the world"
+            "the ends of all: lines that are parallel in the world meet on the horizon, and none crosses it. "
+            "Next: look whether they are parallel in the world"
         )
 
 
