@@ -1,13 +1,14 @@
 """How fast extraction is, beside OpenCV on the same frames in the same run.
 
-    python -m benchmarks.extractors [--quick] [--threads N] [--lines N] [VIDEO ...]
+    python -m benchmarks.extractors [--quick] [--threads N] [--lines N] [--results FILE] [VIDEO ...]
 
-Three tables, medians of five rounds in which the candidates take turns:
+Medians of five rounds in which the candidates take turns, one thread each:
 
-- decode: frames per second out of `extractors.video` (PyAV in a process of its own), PyAV in this
-  process, and OpenCV's reader, which is not safe (docs/decisions/0006-video-decoding.md);
+- decode: frames per second out of `extractors.video` (PyAV in a process of its own), beside PyAV in this
+  process and OpenCV's reader, which is not safe (docs/decisions/0006-video-decoding.md);
 - motion: the motion extractor from decoded frames to batches of events, beside OpenCV's MOG2 alone;
-- whole: from a file of these frames to encoded segments, decoding included, all on one processor, beside the same.
+- whole: from a file of these frames to encoded segments, decoding included, all on one processor, beside the same;
+- horizon: an update of the estimate when 200 people of a rendered square have passed.
 
 Without a video it renders the synthetic street.
 """
@@ -16,7 +17,6 @@ import argparse
 import os
 import statistics
 import tempfile
-import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -27,67 +27,95 @@ import av
 import cv2
 import numpy as np
 
+from benchmarks.measuring import Figure, Row, compared, keep, rate
 from events.segment import encode_payload
 from extractors import scene
+from extractors.horizon import FrameSize, Horizon, HorizonConfig, TrackPoints
 from extractors.media import Frame
 from extractors.motion import MotionConfig, extract
 from extractors.video import frames
 
 ROUNDS = 5
 START = datetime(2026, 1, 1, tzinfo=UTC)
+RESULTS = Path("benchmarks/results/extractors.json")
+PEOPLE = 200
+Work = Callable[[], int]
+"""Does a piece of work; how many frames it was."""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Measure, and print the tables."""
+    """Measure, print and keep."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("videos", nargs="*", type=Path, metavar="VIDEO")
     parser.add_argument("--quick", action="store_true", help="one round of 100 frames")
     parser.add_argument("--threads", type=int, default=1, help="OpenCV's threads (default 1)")
     parser.add_argument("--lines", type=int, help="bring the pictures to so many lines before motion is measured")
+    parser.add_argument("--results", type=Path, default=RESULTS)
     options = parser.parse_args(arguments)
     cv2.setNumThreads(options.threads)
     rounds, frames_max = (1, 100) if options.quick else (ROUNDS, 400)
+    found: list[Row | Figure] = []
     with tempfile.TemporaryDirectory() as folder:
         for video in options.videos or [_street(Path(folder))]:
-            _measure(video, rounds, frames_max, options.lines, Path(folder))
+            for row in _measured(video, rounds, frames_max, options.lines, Path(folder)):
+                print(_line(row), flush=True)
+                found.append(row)
+    found.append(_of_the_horizon(rounds))
+    print(_line(found[-1]))
+    keep(options.results, is_quick=options.quick, rows=[row.plain() for row in found])
 
 
-def _measure(video: Path, rounds: int, frames_max: int, lines: int | None, folder: Path) -> None:
+def _measured(video: Path, rounds: int, frames_max: int, lines: int | None, folder: Path) -> Iterator[Row | Figure]:
     pictures = [_of_lines(item, lines) for item in frames(video) if isinstance(item, Frame)][:frames_max]
     height, width = pictures[0].image.shape[:2]
-    print(f"\n{video.name}: {len(pictures)} frames of {width}x{height}, {rounds} rounds")
-    decoders: dict[str, Callable[[], int]] = {
-        "extractors.video": lambda: sum(isinstance(item, Frame) for item in frames(video)),
-        "PyAV in this process": lambda: _decoded_in_process(video),
-        "OpenCV in this process": lambda: _decoded_by_opencv(video),
-    }
-    _table("decode", decoders, rounds, reference="PyAV in this process")
-    workers: dict[str, Callable[[], int]] = {
-        "motion extractor": lambda: _extracted(pictures),
-        "OpenCV MOG2 alone": lambda: _subtracted(pictures),
-    }
-    _table("motion", workers, rounds, reference="OpenCV MOG2 alone")
+    in_process: tuple[str, Work] = ("PyAV in this process", lambda: _decoded_in_process(video))
+    mog2: tuple[str, Work] = ("OpenCV's MOG2 alone", lambda: _subtracted(pictures))
+    yield _row(f"decode {video.name}", rounds, lambda: _decoded(video), in_process)
+    yield _row(f"decode {video.name} by OpenCV", rounds, lambda: _decoded_by_opencv(video), in_process)
+    yield _row(f"motion, {width}x{height}", rounds, lambda: _extracted(pictures), mog2)
     film = _film(pictures, folder / "film.mkv")
-    roads: dict[str, Callable[[], int]] = {
-        "file to segments": lambda: _to_segments(film),
-        "OpenCV MOG2 alone": lambda: _subtracted(pictures),
-    }
     with _one_processor():
-        _table("whole, one processor", roads, rounds, reference="OpenCV MOG2 alone")
+        whole = _row(
+            f"file to segments, {width}x{height}, one processor", rounds, lambda: _to_segments(film), mog2, target=0.5
+        )
+    yield whole
+    yield Figure(f"{whole.what}, by the clock", "frames/s", whole.ours, 50)
 
 
-def _table(title: str, candidates: dict[str, Callable[[], int]], rounds: int, reference: str) -> None:
-    rates: dict[str, list[float]] = {name: [] for name in candidates}
-    for _ in range(rounds):
-        for name, work in candidates.items():
-            begin = time.perf_counter()
-            count = work()
-            rates[name].append(count / (time.perf_counter() - begin))
-    base = statistics.median(rates[reference])
-    print(f"{title:<26}{'frames/s':>10}{'ms/frame':>10}{'ratio':>8}")
-    for name, values in rates.items():
-        rate = statistics.median(values)
-        print(f"{name:<26}{rate:>10.0f}{1000 / rate:>10.2f}{rate / base:>8.2f}")
+def _row(what: str, rounds: int, ours: Work, reference: tuple[str, Work], target: float | None = None) -> Row:
+    name, theirs = reference
+    return compared(what, "frames/s", rounds, lambda _: _rate(ours), (name, lambda _: _rate(theirs)), target)
+
+
+def _rate(work: Work) -> float:
+    """Frames a second."""
+    counts: list[int] = []
+    calls = rate(1, lambda: counts.append(work()))
+    return calls * counts[0]
+
+
+def _of_the_horizon(rounds: int) -> Figure:
+    """How long an update of the estimate takes when so many have passed; their points are folded before."""
+    square = scene.square(people=PEOPLE, apart_s=0.5)
+    boxes = list(scene.truth(square))
+    points = TrackPoints(
+        np.array([round(box.frame * 1e6 / square.fps) for box in boxes]),
+        np.array([box.object_id for box in boxes]),
+        np.array([box.frame for box in boxes]),
+        np.array([(box.x1, box.y1, box.x2, box.y2) for box in boxes]),
+        np.ones(len(boxes)),
+    )
+    horizon = Horizon(FrameSize(square.width, square.height), HorizonConfig())
+    horizon.add(points)
+    seconds = [1 / rate(1, horizon.estimate) for _ in range(rounds)]
+    tracks = len(np.unique(points.track_id))
+    return Figure(f"update of the horizon, {tracks} tracks", "s", statistics.median(seconds), 0.5, at_least=False)
+
+
+def _line(row: Row | Figure) -> str:
+    if isinstance(row, Figure):
+        return f"{row.what:<60}{row.reached:>10.2f} {row.unit}"
+    return f"{row.what:<60}{row.ours:>10.0f} {row.unit}, {row.ratio:.2f} of {row.reference_name} ({row.reference:.0f})"
 
 
 def _of_lines(frame: Frame, lines: int | None) -> Frame:
@@ -142,6 +170,10 @@ def _subtracted(pictures: list[Frame]) -> int:
     for picture in pictures:
         subtractor.apply(picture.image)
     return len(pictures)
+
+
+def _decoded(video: Path) -> int:
+    return sum(isinstance(item, Frame) for item in frames(video))
 
 
 def _decoded_in_process(video: Path) -> int:

@@ -38,6 +38,8 @@ def page() -> str:
         sections += of_sync(_loaded("sync"))
     if (RESULTS / "accuracy.json").exists():
         sections += of_accuracy(_loaded("accuracy"))
+    if (RESULTS / "extractors.json").exists():
+        sections += of_extractors(_loaded("extractors"))
     if (RESULTS / "long_input.json").exists():
         sections += of_long_input(_loaded("long_input"))
     return "\n".join([_HEAD, *sections])
@@ -230,6 +232,27 @@ def of_accuracy(said: dict[str, Any]) -> Iterator[str]:
         beside = ", ".join(f"{name} {_figure(value)}" for name, value in row["references"].items() if value is not None)
         wanted = row["wanted"] and f"{row['wanted']}: {'reached' if row['is_reached'] else 'missed'}"
         yield f"| {row['what']} | {row['measure']} | {_figure(row['ours'])} | {beside} | {wanted} |"
+    yield ""
+
+
+def of_extractors(said: dict[str, Any]) -> Iterator[str]:
+    """The section on how fast extraction is."""
+    yield (
+        f"## Extraction\n\n`python -m benchmarks.extractors --lines 576 VIDEO`, {_when(said)}, on the PETS clip, one "
+        "thread. Motion is from decoded frames to batches of events; from file to segments decoding is included, and "
+        "all of it, the decoding process too, has one processor.\n"
+    )
+    yield "| what | ours | reference | ratio | target |\n|---|---:|---:|---:|---|"
+    for row in said["rows"]:
+        if "reference" in row:
+            ours, theirs = (f"{row[side]:,.{_digits(row[side])}f}" for side in ("ours", "reference"))
+            yield (
+                f"| {row['what']} | {ours} {row['unit']} | {theirs} ({row['reference_name']}) | {row['ratio']:.2f} "
+                f"| {_target(row)} |"
+            )
+        else:
+            reached = f"{row['reached']:,.{_digits(row['reached'])}f} {row['unit']}"
+            yield f"| {row['what']} | {reached} | | | {_target({'ratio': row['reached'], **row})} |"
     yield ""
 
 

@@ -52,9 +52,16 @@ def pictures_in(folder: Path) -> list[Path]:
         raise VideoUnreadable(f"{folder}: cannot be read: {error.strerror}") from error
     if not found:
         raise VideoUnreadable(
-            f"{folder}: the folder holds no pictures ({', '.join(ENDINGS)}). Next: give a video, or the folder itself"
+            f"{folder}: no pictures lie in this folder ({_what_is_in(folder)}), wanted files ending in "
+            f"{', '.join(ENDINGS)}. Next: give the folder in which they lie; folders within it are not looked into"
         )
     return sorted(found, key=_by_number)
+
+
+def _what_is_in(folder: Path) -> str:
+    """What lies where pictures were wanted."""
+    names = sorted(path.name for path in folder.iterdir())
+    return f"it holds {', '.join(names[:3])}{', ...' if len(names) > 3 else ''}" if names else "it is empty"
 
 
 def digest(pictures: Sequence[Path]) -> str:

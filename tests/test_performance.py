@@ -7,6 +7,7 @@ from benchmarks.report import (
     RESULTS,
     beside_flink,
     of_accuracy,
+    of_extractors,
     of_long_input,
     of_rules,
     of_sync,
@@ -118,4 +119,16 @@ def test_memory_over_a_long_input_stands_by_thirds() -> None:
     assert section[-3:-1] == [
         "| extractor, with the horizon | 370 MB | 380 MB | 380 MB | 1.03 | at most 1.1: reached |",
         "| decoding process | 75 MB | 85 MB | 95 MB | 1.27 | at most 1.1: missed |",
+    ]
+
+
+def test_extraction_stands_beside_its_reference_and_what_was_wanted() -> None:
+    rows = [
+        Row("file to segments", "frames/s", 54.0, 98.0, "MOG2", 0.56, 0.5),
+        Figure("update of the horizon", "s", 0.61, 0.5, at_least=False),
+    ]
+    said = {"measured_at": "2026-01-01T10:00:00+00:00", "is_quick": False, "rows": [row.plain() for row in rows]}
+    assert list(of_extractors(said))[2:-1] == [
+        "| file to segments | 54.0 frames/s | 98.0 (MOG2) | 0.56 | at least 0.5: reached |",
+        "| update of the horizon | 0.610 s | | | at most 0.5: missed |",
     ]

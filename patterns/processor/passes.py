@@ -47,6 +47,8 @@ from patterns.scene.site import SITE_TYPES, is_move
 from store import Log
 
 logger = logging.getLogger(__name__)
+UNCALIBRATED = "uncalibrated"
+"""The `kind` of a log record that says of a source that a rule wants its metres, and there are none yet."""
 
 ENDS: tuple[type[EventType], ...] = (ProcessFinished, ProcessFailed)
 """What says that a source will send no more."""
@@ -236,6 +238,7 @@ class Pass:
                         "Next: vian zones calibrate %s POINTS.yaml --station %s, let people pass while its extraction "
                         "runs, or leave the source out in the rule's FROM",
                         member.rule.rule, member.rule.version, source, source, part.segment.stream.station,
+                        extra={"kind": UNCALIBRATED},
                     )  # fmt: skip
                 member.uncalibrated[source] = member.uncalibrated.get(source, 0) + len(part)
 

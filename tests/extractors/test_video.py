@@ -241,7 +241,11 @@ def test_what_is_no_readable_file_is_named(tmp_path: Path) -> None:
     empty = tmp_path / "empty.mp4"
     empty.touch()
     (tmp_path / "folder").mkdir()
-    cases = {tmp_path / "folder": "holds no pictures", tmp_path / "no.mp4": "no such file", empty: "the file is empty"}
+    cases = {
+        tmp_path / "folder": "no pictures lie in this folder .it is empty.",
+        tmp_path / "no.mp4": "no such file",
+        empty: "the file is empty",
+    }
     for path, said in cases.items():
         with pytest.raises(VideoUnreadable, match=said):
             probe(path)

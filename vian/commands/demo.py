@@ -14,7 +14,8 @@ from store.schema import safe_dsn
 from vian import options
 from vian.demo.cameras import CameraFound
 from vian.demo.clip import Origin, choose, shown
-from vian.demo.run import ANSWER_SQL, CENTRAL_DIR, Summary, run_demo, summary_rows
+from vian.demo.place import folder_for
+from vian.demo.run import ANSWER_SQL, CENTRAL_DIR, Summary, obstacle, run_demo, summary_rows
 from vian.errors import WorldFailed
 from vian.options import open_from, settings_for
 from vian.output import Output
@@ -53,10 +54,16 @@ def demo(
     output.note(f"clip: {clip.path}" + (f"\n{clip.attribution}" if clip.attribution else ""))
     if clip.origin is Origin.GIVEN:
         video_files.probe(clip.path)  # what is no video is told before two servers are started
+    clips = shown(clip)
+    if settings.dsn is None or data_dir is not None:
+        folder = folder_for(settings.data_dir, lambda log: obstacle(log, clips), output.note)
+        if folder != settings.data_dir:
+            data_dir = folder
+            settings = settings.model_copy(update={"data_dir": folder})
     summary = run_demo(
         lambda: open_from(settings, data_dir=data_dir),
         lambda: open_log(data_dir=settings.data_dir / CENTRAL_DIR),
-        shown(clip),
+        clips,
         report,
         output,
     )

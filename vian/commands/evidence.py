@@ -174,7 +174,7 @@ def _told(exported: Exported, source: Source, *, is_signed: bool) -> str:
     signature = f"signed throughout, by key {source.key.id}" if is_signed and source.key else "not signed throughout"
     return (
         f"{exported.path}: {exported.events} events in {exported.segments} segments, {exported.withheld} more without "
-        f"their payload; {exported.files} files, {exported.bytes} bytes; {signature}\n"
+        f"their payload; {exported.files} files beside manifest and seal, {exported.bytes} bytes; {signature}\n"
         f"manifest SHA-256: {exported.manifest_sha256} (note it apart)\n"
         f"to check it: python3 {exported.path / 'verify.py'}"
     )

@@ -312,7 +312,8 @@ def _signed(covered: Covered, *, is_enrolled: bool) -> str:
     order = (
         f"order and times of recording up to position {covered.position}"
         if covered.position is not None
-        else "no order: it is another log's station, or --station NAME is wanted"
+        else "their order is not judged here, since what it signs are positions of the station's own log "
+        f"(in that log: vian verify --station {covered.station})"
     )
     known = "not known here: compare it with what the station's vian init says"
     if covered.is_known or is_enrolled:

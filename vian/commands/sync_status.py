@@ -282,8 +282,17 @@ def _one(row: StationRow, late_s: float) -> _Shown:
         _row_data(row),
         *({"kind": "stream"} | {name: getattr(s, name) for name in type(s).__dataclass_fields__} for s in row.streams),
     )
-    after = tuple(map(told_at_central, row.gone))
+    after = (*_unnamed(row), *map(told_at_central, row.gone))
     return _Shown(tuple(lines), columns, rows, after, data, tuple(_row_late(row, late_s)))
+
+
+def _unnamed(row: StationRow) -> Iterator[str]:
+    """Why nothing is shown of a stream at its station."""
+    if any(each.at_station is None for each in row.streams):
+        yield (
+            "at_station is empty where the station's newest hello names no such stream: it is younger than that hello "
+            "(an idle station says the next after `sync_hello_s`), or the station sends it no more"
+        )
 
 
 def _row_data(row: StationRow) -> dict[str, Any]:

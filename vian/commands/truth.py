@@ -53,6 +53,8 @@ def horizon(
     if output_file is not None:
         _write(output_file, values)
     output = Output(is_json=as_json)
+    for doubt in found.doubts:
+        output.note(doubt)
     if as_json:
         output.result(values)
         return

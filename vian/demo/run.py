@@ -10,7 +10,7 @@ import hashlib
 import logging
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from functools import partial
 from pathlib import Path
@@ -21,8 +21,8 @@ import pyarrow as pa
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from events import station_name
+from extractors import video
 from patterns.engine.compiling import compiling_beside
-from patterns.errors import PatternError
 from patterns.files.rule import Rule
 from patterns.processor import Processor, deploy, passes
 from store import Log, Projector, StationKey, Verification, verify
@@ -33,11 +33,12 @@ from vian.api import bind, create_app, serving
 from vian.clock import utc_now
 from vian.demo.cameras import CameraFound, camera_found, camera_rows
 from vian.demo.clip import SQUARE, Clip, Origin
+from vian.demo.place import obstacle_in
 from vian.demo.report import Facts, View, write_report
 from vian.demo.scenes import RULES_IN_METRES, rules_for, source_of
 from vian.enrolling import enrol_at
 from vian.errors import WorldFailed, WrongUsage
-from vian.extraction import Extraction, Job, extract_motion, media_clock
+from vian.extraction import Extraction, Job, extract_motion, media_clock, process_name
 from vian.membership import Membership
 from vian.output import Output
 from vian.parts import Parts, stepping
@@ -121,17 +122,19 @@ def run_demo(
         output: Where progress is shown.
 
     Raises:
-        WrongUsage: The log holds another station's streams.
-        WorldFailed: The parts did not come together in time, or another release's demo began the log.
+        WrongUsage: The log holds another station's streams, or another release's demo.
+        WorldFailed: The parts did not come together in time.
     """
     began = monotonic()
     with ExitStack() as stack:
         output.note("starting two PostgreSQL servers: the station's and the central one")
         station = stack.enter_context(open_station())
-        _check_is_ours(station)
+        if found := obstacle(station, clips):
+            raise WrongUsage(f"the log {found}. Next: give the demo a folder of its own: vian demo --data-dir FOLDER")
         central = stack.enter_context(open_central())
         rules = {clip: rules_for(clip) for clip in clips}
-        _deploy(station, [rule for own in rules.values() for rule in own])
+        deployed = [rule for own in rules.values() for rule in own]
+        deploy(station, STATION, deployed, {rule.rule: file_text(rule) for rule in deployed}, CLIP_START)
         extractions = _run_together(stack, station, central, rules, output)
         verified = verify(station), verify(central)
         agree = _heads(station) == _heads(central)
@@ -156,15 +159,11 @@ def run_demo(
     return summary
 
 
-def _deploy(station: Log, rules: list[Rule]) -> None:
-    try:
-        deploy(station, STATION, rules, {rule.rule: file_text(rule) for rule in rules}, CLIP_START)
-    except PatternError as error:
-        what = str(error).partition(". Next: ")[0]
-        raise WorldFailed(
-            f"the demo cannot go on in this log, which another release's demo began: {what}. "
-            "Next: vian demo --data-dir NEW-FOLDER"
-        ) from error
+def obstacle(station: Log, clips: Sequence[Clip]) -> str | None:
+    """What stands in the way of a demo of the clips in the log; see `obstacle_in`."""
+    jobs = {clip: _job(station, clip) for clip in clips}
+    processes = {job.source: process_name(job, video.probe(clip.path).sha256) for clip, job in jobs.items()}
+    return obstacle_in(station, STATION, processes, [rule for clip in clips for rule in rules_for(clip)])
 
 
 def _run_together(
@@ -212,7 +211,7 @@ def _extracted(station: Log, clip: Clip, running: Parts, output: Output) -> Extr
             running.check()
             bar.at(done, expected)
 
-        return extract_motion(_job(station, clip, show, output))
+        return extract_motion(replace(_job(station, clip), on_progress=show, on_note=output.note))
 
 
 @contextmanager
@@ -228,7 +227,7 @@ def _said_of_metres(output: Output) -> Iterator[None]:
 
 
 def _is_not_of_metres(record: logging.LogRecord) -> bool:
-    return "asks for metres" not in str(record.msg)
+    return getattr(record, "kind", None) != passes.UNCALIBRATED
 
 
 class _Clock:
@@ -255,7 +254,7 @@ def _membership(access: Access, address: str) -> Membership:
     return Membership(address=address, station=name, central=central, public_key=_CENTRAL_KEY.public.hex())
 
 
-def _job(station: Log, clip: Clip, show: Callable[[int, int | None], None], output: Output) -> Job:
+def _job(station: Log, clip: Clip) -> Job:
     return Job(
         log=station,
         station=STATION,
@@ -263,8 +262,6 @@ def _job(station: Log, clip: Clip, show: Callable[[int, int | None], None], outp
         path=clip.path,
         started_at=CLIP_START,
         stamp=media_clock,
-        on_progress=show,
-        on_note=output.note,
     )
 
 
@@ -320,16 +317,6 @@ def _size(log: Log) -> tuple[int, int]:
     """Events and payload bytes of the demo station's streams."""
     sizes = [(segment.header.event_count, len(segment.payload)) for segment in log.read_all(stations=[STATION])]
     return sum(count for count, _ in sizes), sum(size for _, size in sizes)
-
-
-def _check_is_ours(station: Log) -> None:
-    stations = {head.stream.station for head in station.streams()}
-    strangers = sorted(stations - {STATION})
-    if strangers and STATION not in stations:
-        raise WrongUsage(
-            f"this log holds streams of {', '.join(strangers[:3])}, and the demo's would stay in it for ever. "
-            "Next: give the demo a folder of its own: vian demo --data-dir FOLDER"
-        )
 
 
 class _Loopback(httpx.HTTPTransport):

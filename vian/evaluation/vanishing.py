@@ -9,6 +9,7 @@ maximum likelihood vanishing point); R. Hartley, A. Zisserman, "Multiple View Ge
 """
 
 import json
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -27,6 +28,13 @@ Coordinate = Annotated[float, Field(allow_inf_nan=False, ge=-1e5, le=1e5)]
 Segment = tuple[Coordinate, Coordinate, Coordinate, Coordinate]
 SPREAD_MIN = 3.0
 """Lines count as parallel in the picture unless their directions differ by so many standard deviations."""
+ROLL_MAX_DEG = 45.0
+"""Beyond it a picture's up is nearer to sideways: rather are a group's lines not level than a camera so rolled."""
+EXCESS_MAX = 3.0
+"""Residuals of more times what marking explains are told: some marks are wrong, or not parallel in the world."""
+WITHIN = 0.9
+"""So far from its middle to its ends a segment has no vanishing point in it; one that is marked right up to the horizon
+may have it at its end, by the noise of marking."""
 ROUNDS = 10
 
 
@@ -63,6 +71,8 @@ class VanishingPoint:
     """`(2, 2)` px²"""
     rms_px: float
     """root mean square distance of the marked ends from their lines, px"""
+    excess: float
+    """by what factor it exceeds what marking explains, at least 1"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,6 +83,8 @@ class Marked:
     points: tuple[VanishingPoint, ...]
     distances_px: tuple[float, ...]
     """how far each vanishing point lies below the horizon, px"""
+    doubts: tuple[str, ...] = ()
+    """what of the marks does not fit together, and what to do, for people"""
 
 
 def read_marks(path: Path) -> Marks:
@@ -100,7 +112,7 @@ def horizon_of_marks(marks: Marks) -> Marked:
 
     Raises:
         WrongUsage: The marks do not fix it: one group, too few segments, lines that are parallel in the picture,
-            or vanishing points above each other.
+            or vanishing points above each other. Or it cannot be: it is too steep, or lines meet within a segment.
     """
     if len(marks.groups) < 2:
         raise WrongUsage(
@@ -108,9 +120,10 @@ def horizon_of_marks(marks: Marks) -> Marked:
             "gives one point of the horizon. Next: mark another direction"
         )
     points = tuple(_vanishing_point(group, number, marks.marked_px) for number, group in enumerate(marks.groups, 1))
-    horizon = _line_through(points)
+    horizon, excess = _line_through(points)
+    _check_roll(horizon)
     distances = tuple(float(point.xy[1] - horizon.at(point.xy[0])) for point in points)
-    return Marked(horizon, points, distances)
+    return Marked(horizon, points, distances, tuple(_doubts(points, distances, excess)))
 
 
 def _vanishing_point(group: Group, number: int, marked_px: float) -> VanishingPoint:
@@ -135,11 +148,14 @@ def _vanishing_point(group: Group, number: int, marked_px: float) -> VanishingPo
         cross = to_point[:, 0] * halves[:, 1] - to_point[:, 1] * halves[:, 0]
         return np.asarray(cross / np.maximum(np.hypot(*to_point.T), 1e-9))
 
-    fit = least_squares(off_px, _meeting(middles, halves / lengths[:, None]), x_scale="jac", xtol=1e-14, ftol=1e-14)
+    meeting = _meeting(middles, halves / lengths[:, None])
+    _check_beyond(name, meeting, middles, halves)
+    fit = least_squares(off_px, meeting, x_scale="jac", xtol=1e-14, ftol=1e-14)
     # Each segment has two ends, whose distances are the same: half their variance is left in one.
     variance = marked_px**2 / 2
-    covariance = np.linalg.inv(fit.jac.T @ fit.jac) * variance * _excess((fit.fun**2 / variance).sum(), len(segments))
-    return VanishingPoint(name, fit.x, covariance, float(np.sqrt(np.mean(fit.fun**2))))
+    excess = _excess((fit.fun**2 / variance).sum(), len(segments))
+    covariance = np.linalg.inv(fit.jac.T @ fit.jac) * variance * excess**2
+    return VanishingPoint(name, fit.x, covariance, float(np.sqrt(np.mean(fit.fun**2))), excess)
 
 
 def _check_spread(name: str, halves: Floats, lengths: Floats, marked_px: float) -> None:
@@ -156,13 +172,26 @@ def _check_spread(name: str, halves: Floats, lengths: Floats, marked_px: float) 
         )
 
 
+def _check_beyond(name: str, meeting: Floats, middles: Floats, halves: Floats) -> None:
+    """A line in front of the camera goes towards its vanishing point and never through it."""
+    reached = np.abs(((meeting - middles) * halves).sum(axis=1)) / (halves**2).sum(axis=1)
+    if reached.min() < WITHIN:
+        x, y = meeting
+        raise WrongUsage(
+            f"{name}: its lines meet at ({x:.0f}, {y:.0f}), within segment {int(reached.argmin()) + 1}, wanted beyond "
+            "the ends of all: lines that are parallel in the world meet on the horizon, and none crosses it. "
+            "Next: look whether they are parallel in the world"
+        )
+
+
 def _meeting(middles: Floats, along: Floats) -> Floats:
     """The point of least squared distance from all lines, `(2,)` px."""
     normals = np.stack([-along[:, 1], along[:, 0]], axis=1)
     return np.asarray(np.linalg.lstsq(normals, (normals * middles).sum(axis=1), rcond=None)[0])
 
 
-def _line_through(points: tuple[VanishingPoint, ...]) -> Horizon:
+def _line_through(points: tuple[VanishingPoint, ...]) -> tuple[Horizon, float]:
+    """The line, and by what factor the points' distances from it exceed what they explain themselves, at least 1."""
     xy = np.array([point.xy for point in points])
     spread = np.ptp(xy[:, 0])
     if spread < 1e-3 * max(1.0, float(np.abs(xy).max())):
@@ -177,10 +206,36 @@ def _line_through(points: tuple[VanishingPoint, ...]) -> Horizon:
         weights = 1 / np.array([across @ point.covariance @ across for point in points])
         normal = basis.T @ (weights[:, None] * basis)
         slope, offset = np.linalg.solve(normal, basis.T @ (weights * xy[:, 1]))
-    chi2 = (weights * (xy[:, 1] - basis @ [slope, offset]) ** 2).sum()
-    return Horizon(float(slope), float(offset), np.linalg.inv(normal) * _excess(chi2, len(points)))
+    excess = _excess((weights * (xy[:, 1] - basis @ [slope, offset]) ** 2).sum(), len(points))
+    return Horizon(float(slope), float(offset), np.linalg.inv(normal) * excess**2), excess
 
 
 def _excess(chi2: float, count: int) -> float:
-    """By what factor residuals behind two fitted parameters exceed the stated variances, at least 1."""
-    return max(1.0, float(chi2) / (count - 2)) if count > 2 else 1.0
+    """By what factor residuals behind two fitted parameters exceed the stated deviations, at least 1."""
+    return float(np.sqrt(max(1.0, chi2 / (count - 2)))) if count > 2 else 1.0
+
+
+def _check_roll(horizon: Horizon) -> None:
+    degrees = np.degrees(np.arctan(horizon.slope))
+    if abs(degrees) > ROLL_MAX_DEG:
+        raise WrongUsage(
+            f"the marks give a horizon that is {abs(degrees):.0f} degrees steep, wanted at most {ROLL_MAX_DEG:.0f}: "
+            "the lines of a group are upright or on a slope, or not parallel in the world. "
+            "Next: mark level lines alone, or turn the picture upright"
+        )
+
+
+def _doubts(points: tuple[VanishingPoint, ...], distances_px: tuple[float, ...], excess: float) -> Iterator[str]:
+    for point in points:
+        if point.excess > EXCESS_MAX:
+            yield (
+                f"{point.group}: its lines do not meet in one point: they are off by {point.excess:.0f} times what "
+                "marking explains. Next: look whether all of them are parallel in the world"
+            )
+    if excess > EXCESS_MAX:
+        farthest = max(range(len(points)), key=lambda at: abs(distances_px[at]))
+        yield (
+            f"the groups give no one horizon: their vanishing points are off it by {excess:.0f} times what marking "
+            f"explains, that of {points[farthest].group} by {abs(distances_px[farthest]):.0f} px. "
+            "Next: look whether the lines of each are level"
+        )

@@ -64,7 +64,9 @@ class Exported:
     path: Path
     manifest_sha256: str
     files: int
+    """files that the manifest lists, as `verify` counts them: beside them stand itself and its seal"""
     bytes: int
+    """of all files"""
     events: int
     segments: int
     withheld: int
@@ -142,10 +144,9 @@ class _Export:
         (self._root / verifier.MANIFEST).write_bytes(content)
         digest = hashlib.sha256(content).hexdigest()
         (self._root / verifier.SEAL).write_text(_seal(digest, self._source.key))
-        files = [each for each in self._root.rglob("*") if each.is_file()]
-        size = sum(each.stat().st_size for each in files)
+        size = sum(each.stat().st_size for each in self._root.rglob("*") if each.is_file())
         counts = self._counts
-        return digest, len(files), size, counts["events"], counts["segments"], counts["withheld"]
+        return digest, len(manifest["files"]), size, counts["events"], counts["segments"], counts["withheld"]
 
     def _gaps(self, wanted: Wanted) -> Iterator[str]:
         """What of the wanted events is in a gap of this log, for people."""

@@ -2,16 +2,22 @@
 
 import json
 import shlex
+from contextlib import closing
 from pathlib import Path
 
 import pytest
 
-from store import Log
-from store.schema import safe_dsn
+from events import ProcessStarted, StreamName, batch_of
+from store import Log, open_log
+from store.embedded import EmbeddedServer
+from store.schema import migrate, safe_dsn
 from tests.conftest import MakeLog
 from tests.vian.conftest import Run
-from tests.vian.samples import append, points, reopened
+from tests.vian.samples import START, append, points, reopened
 from vian.commands import demo
+from vian.demo.clip import Clip, Origin
+from vian.demo.run import STATION
+from vian.demo.scenes import source_of
 
 pytestmark = pytest.mark.usefixtures("decoded_once")
 
@@ -51,6 +57,26 @@ def test_a_demo_ends_with_a_summary_and_the_next_commands(log: Log, central: Log
     assert sum(values["situations"].values()) == 2
     assert Path(values["report"]).name == "other.html"
     assert "frames" not in again.err, "progress is for terminals"
+
+
+def test_a_log_of_an_older_release_is_brought_up_and_one_of_another_demo_left_alone(
+    central: Log, run: Run, clip: Path, public_folder: Path
+) -> None:
+    folder, beside = public_folder / "demo", public_folder / "demo-2"
+    began = ProcessStarted(
+        time=START, process="then", extractor="motion", extractor_version="0", configuration="{}", video="v"
+    )
+    source = source_of(Clip(clip, Origin.GIVEN, None))
+    with open_log(data_dir=folder) as log:
+        append(log, batch_of([began]), StreamName.of(STATION, source, began.type_name))
+    with closing(EmbeddedServer(beside)) as server:
+        migrate(server.dsn, [], "0018")
+    ran = run("demo", "--video", clip, "--data-dir", folder)
+    assert ran.code == 0, ran.err
+    assert f"the log in {folder} was begun by another release's demo, whose tracks were others." in ran.words
+    assert f"--data-dir {beside} " in ran.out
+    with open_log(data_dir=folder) as log:
+        assert log.head() == 1
 
 
 @pytest.mark.parametrize(

@@ -64,7 +64,7 @@ def test_a_guessed_start_is_told(log: Log, run: Run, clip: Path) -> None:
     "video, options, code, said",
     [
         ("gone.mp4", [], 2, "gone.mp4: no such file or folder. Next: check the name"),
-        (".", [], 1, "the folder holds no pictures"),
+        (".", [], 1, "no pictures lie in this folder ("),
         ("ftp://host/1", [], 2, "an address must be rtsp://host/..., rtsps://host/..."),
         ("rtsp://user:geheim@127.0.0.1:9/1", [], 1, "rtsp://127.0.0.1:9/1: not a live stream that can be opened"),
         ("text.mp4", ["--fps", "0"], 2, "--fps must be above 0"),

@@ -160,6 +160,11 @@ def test_verify_says_what_signatures_cover(filled: Log, at: tuple[str, ...], run
     assert signed.endswith(f"key {key} (known here)")
     elsewhere = run("verify", "--dsn", filled.dsn, "--full", "--station", "brno")
     assert "(not known here: compare it with what the station's vian init says)" in elsewhere.out
+    other = run("verify", "--dsn", filled.dsn, "--station", "oslo")
+    assert (
+        "their order is not judged here, since what it signs are positions of the station's own log "
+        "(in that log: vian verify --station brno)"
+    ) in other.out
 
 
 def test_verify_reads_what_came_since_and_all_of_it_when_told(filled: Log, at: tuple[str, ...], run: Run) -> None:

@@ -133,6 +133,8 @@ def test_what_a_station_said_it_has_more_is_behind(
     one = objects(run("sync", "status", "--dsn", central.dsn, "--json").out)[1]
     assert one["behind"] == 30
     assert one["lag_s"] >= 0
+    shown = run("sync", "status", "--dsn", central.dsn, "--station", "brno").out
+    assert "at_station is empty where the station's newest hello names no such stream" in " ".join(shown.split())
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,7 @@ import pytest
 from structlog.testing import capture_logs
 
 from events import StreamName, SyncPlanned, decode, events_of
+from extractors import motion
 from extractors.scene import street, write
 from patterns.files.loading import parse_rule
 from patterns.processor import Processor, deploy
@@ -87,8 +88,20 @@ def test_a_log_of_another_releases_demo_is_said_to_be_one(stage: Stage) -> None:
     rule = next(iter(rules_for(stage.clip)))
     text = file_text(rule).replace("title: ", "title: 'then' # ", 1)
     deploy(stage.station, STATION, [parse_rule(text, "<then>")], {rule.rule: text}, CLIP_START)
-    with pytest.raises(WorldFailed, match=r"another release's demo began: .* another content.*--data-dir NEW-FOLDER"):
+    with pytest.raises(WrongUsage, match=r"begun by another release's demo, whose rules .*--data-dir FOLDER"):
         stage.run()
+
+
+def test_another_releases_tracks_are_not_counted_beside_this_ones(
+    stage: Stage, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as patched:
+        patched.setattr(motion, "VERSION", "0.0.1")
+        stage.run()
+    before = stage.heads()
+    with pytest.raises(WrongUsage, match=r"begun by another release's demo, whose tracks .*--data-dir FOLDER"):
+        stage.run()
+    assert stage.heads() == before
 
 
 class Stopped(Exception):
@@ -224,9 +237,12 @@ def test_logs_that_do_not_agree_make_no_sound_summary(stage: Stage, monkeypatch:
 
 
 @pytest.mark.slow
-def test_the_square_shows_its_horizon_its_camera_and_speeds(stage: Stage, tmp_path: Path) -> None:
+def test_the_square_shows_its_horizon_its_camera_and_speeds(
+    stage: Stage, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     write(SQUARE, tmp_path / "square.mp4")
     summary = stage.run(Clip(tmp_path / "square.mp4", Origin.SQUARE, None))
+    assert "not calibrated yet" not in caplog.text, "that metres come later is meant"
     (found,) = summary.cameras
     assert found.horizon is not None
     assert error_of(found.horizon, Horizon(*SQUARE.camera.horizon), SQUARE.width, SQUARE.height) < 0.05

@@ -3,6 +3,7 @@
 import hashlib
 import json
 import random
+import re
 import subprocess
 import sys
 import venv
@@ -185,6 +186,8 @@ def test_evidence_without_any_key_says_that_it_is_not_signed(log: Log, tmp_path:
     assert "there is no key: the export itself is not signed. Next, if it shall be: vian init" in ran.words
     verified = alone(out)
     assert verified.code == 4
+    (listed,) = re.findall(r"; (\d+) files beside manifest and seal, ", " ".join(ran.out.split()))
+    assert f"{listed} of {listed} files are those of the manifest" in verified.out
     assert "INTACT, BUT NOT SIGNED THROUGHOUT" in verified.out
 
 
