@@ -137,6 +137,9 @@ class HorizonConfig(BaseModel):
     pace_trend: Share = 0.1
     """standard deviation of what all paces may change by across the frame (their logarithm): people slow down at a
     door or a crossing, whoever they are"""
+    pace_turn: Share = 0.1
+    """likewise of what all paces may differ by between directions on the ground: who crosses a street or strolls in it
+    is slower than who goes along it"""
     height_trend: Share = 0.01
     """likewise of heights: ground that is not quite a plane"""
     model_share: Positive = 0.004
