@@ -151,8 +151,10 @@ class HorizonConfig(BaseModel):
 
         They are outlines of what differs from the background: gaps of 0.02 of the frame's height are closed, a
         shadow may be left on, and far feet, which are a pixel or two, go unseen. They are of bodies, not computed.
+        Where several share a blob (confidence 0.5) a box is as high as motion expects: it is not measured. Heights
+        that are 3 % short where people are 45 px high and 1 % long where they are 70 are usual (0038).
         """
-        return cls(bias_lines=0.012, depth=0.18, depth_spread=0.04)
+        return cls(confidence_min=0.75, bias_lines=0.012, height_trend=0.04, depth=0.18, depth_spread=0.04)
 
     @property
     def config_hash(self) -> bytes:
