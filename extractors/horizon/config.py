@@ -137,6 +137,9 @@ class HorizonConfig(BaseModel):
     pace_trend: Share = 0.1
     """standard deviation of what all paces may change by across the frame (their logarithm): people slow down at a
     door or a crossing, whoever they are"""
+    pace_turn: Share = 0.1
+    """likewise of what all paces may differ by between directions on the ground: who crosses a street or strolls in it
+    is slower than who goes along it"""
     height_trend: Share = 0.01
     """likewise of heights: ground that is not quite a plane"""
     model_share: Positive = 0.004
@@ -148,8 +151,10 @@ class HorizonConfig(BaseModel):
 
         They are outlines of what differs from the background: gaps of 0.02 of the frame's height are closed, a
         shadow may be left on, and far feet, which are a pixel or two, go unseen. They are of bodies, not computed.
+        Where several share a blob (confidence 0.5) a box is as high as motion expects: it is not measured. Heights
+        that are 3 % short where people are 45 px high and 1 % long where they are 70 are usual (0038).
         """
-        return cls(bias_lines=0.012, depth=0.18, depth_spread=0.04)
+        return cls(confidence_min=0.75, bias_lines=0.012, height_trend=0.04, depth=0.18, depth_spread=0.04)
 
     @property
     def config_hash(self) -> bytes:

@@ -86,6 +86,10 @@ class Evidence(ABC):
     def misfits(self, camera: Floats, own: Floats) -> Floats:
         """How far each observation is off, `(n,)`; smooth in the camera and in its track's unknown."""
 
+    def trends(self, camera: Floats) -> Floats:
+        """One standard deviation of what all misfits may have in common, each trend by itself, `(n, trends)`."""
+        return self._trends
+
     def settled(self, belief: Belief, misfits: Floats) -> Belief:
         """The belief with its noise adapted: one step of maximum likelihood (Lange, Little and Taylor 1989)."""
         if not len(misfits):
@@ -131,8 +135,9 @@ class Evidence(ABC):
         products = (weights[:, None, None] * jacobian[:, :, None] * jacobian[:, None, :]).reshape(-1, size * size)
         hessians = self._sums_of(products).reshape(-1, size, size)
         hessians -= coupling[:, :, None] * coupling[:, None, :] / own_hessian[:, None, None]
-        trends = (weights[:, None] * self._trends).T @ jacobian
-        trends -= (self._sums_of((weights * by_own)[:, None] * self._trends) / own_hessian[:, None]).T @ coupling
+        common = self.trends(camera)
+        trends = (weights[:, None] * common).T @ jacobian
+        trends -= (self._sums_of((weights * by_own)[:, None] * common) / own_hessian[:, None]).T @ coupling
         return Part(scores, hessians, trends, coupling, own_hessian, own_gradient)
 
     def _robust_weights(self, belief: Belief, misfits: Floats) -> Floats:

@@ -7,9 +7,11 @@ without its feet.
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
+from scipy.stats import chi2
 from scipy.stats import t as student
 
 from extractors.horizon.camera import Floats, FrameSize, Line, horizon_of
@@ -27,6 +29,10 @@ SETTLED = 3e-4
 """A step this short in every parameter is the last."""
 STEP_MAX = np.array([0.15, 0.15, 0.3, 0.5, 0.005, 0.5, 0.05])
 """Longest step in each parameter of the camera."""
+VIEW = 3
+"""Of the camera's parameters the first so many are what it sees: tilt, roll, focal length."""
+CHANCE = float(chi2.ppf(0.95, VIEW))
+"""Squared distance, in covariances, beyond which two estimates of a view contradict each other."""
 LEVERAGE_MIN = 0.05
 """Share of its own information that a track is at least taken to lack; alone it cannot contradict itself."""
 TRACKS_FEW = 3.0
@@ -54,6 +60,10 @@ class Fit:
     track_weights: Floats
     """how much of each track is believed, 0 to 1"""
 
+    def widened(self, factor: float) -> Self:
+        """The fit with covariances this many times as large."""
+        return replace(self, covariance=self.covariance * factor, line_covariance=self.line_covariance * factor)
+
     def deviation_at(self, x: float) -> float:
         """Standard deviation of the horizon's height at `x`, px."""
         at = np.array([x, 1.0])
@@ -64,7 +74,23 @@ def fitted(places: Places, size: FrameSize, config: HorizonConfig, starts: Itera
     """The best fit over all starts `(tilt, roll)`, rad."""
     problem = _Problem(places, size, config)
     found = [problem.descended(problem.start(tilt, roll), SEEKING_STEPS) for tilt, roll in starts]
-    return problem.judged(problem.descended(min(found, key=lambda state: state.cost), STEPS_MAX))
+    state = problem.descended(min(found, key=lambda state: state.cost), STEPS_MAX)
+    fit = problem.judged(state)
+    halves = [
+        half.judged(half.descended(half.beginning_at(state.camera), STEPS_MAX))
+        for half in (_Problem(part, size, config) for part in places.halves())
+    ]
+    return fit.widened(_contradiction(*halves)) if len(halves) == 2 else fit
+
+
+def _contradiction(one: Fit, other: Fit) -> float:
+    """Squared distance of two fits' tilt, roll and focal length over the largest that chance explains; 1 at least.
+
+    Source: the scale factor for results that contradict each other: Birge, Phys. Rev. 40 (1932) 207.
+    """
+    off = (one.camera - other.camera)[:VIEW]
+    covariance = (one.covariance + other.covariance)[:VIEW, :VIEW]
+    return max(float(off @ np.linalg.solve(covariance, off)) / CHANCE, 1.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,6 +158,10 @@ class _Problem:
         camera[:2] = tilt, roll
         camera[3] = self._heights.usual_size(camera)
         camera[5] = self._paces.usual_pace(camera)
+        return self.beginning_at(camera)
+
+    def beginning_at(self, camera: Floats) -> _State:
+        """A state with this camera, and tracks of which nothing is known."""
         nothing = np.zeros(self._tracks)
         return _State(camera, Belief(nothing, 0.1), Belief(nothing, 0.2))
 

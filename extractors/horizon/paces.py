@@ -18,7 +18,7 @@ class Paces(Evidence):
     """Misfit of a stretch from one place to a later one: its pace on the ground against its track's own."""
 
     def __init__(self, places: Places, tracks: int, size: FrameSize, config: HorizonConfig) -> None:
-        self._places, self._size = places, size
+        self._places, self._size, self._turn = places, size, config.pace_turn
         self._from, self._to = _stretches(places, config.pace_stretch)
         self._log_s = np.log(places.time_s[self._to] - places.time_s[self._from])
         track = places.track[self._to]
@@ -35,11 +35,15 @@ class Paces(Evidence):
 
     def misfits(self, camera: Floats, own: Floats) -> Floats:
         """Misfits of the logarithm of the paces, camera heights per s."""
-        feet_xy = feet_of(camera[:3], self._places.middle_xy, np.exp(self._places.log_height), self._size)
-        ground = ground_points(camera[:3], feet_xy, self._size)
-        way = ground[self._to] - ground[self._from]
-        log_pace = np.log(np.maximum(np.hypot(*way.T), 1e-9)) - self._log_s
+        log_pace = np.log(np.maximum(np.hypot(*self._ways(camera).T), 1e-9)) - self._log_s
         return np.asarray(log_pace - camera[5] - own[self._track])
+
+    def trends(self, camera: Floats) -> Floats:
+        """By place in the frame, and by direction on the ground."""
+        way = self._ways(camera)
+        twice = 2 * np.arctan2(way[:, 1], way[:, 0])
+        turns = self._turn * np.stack([np.cos(twice), np.sin(twice)], axis=1)
+        return np.hstack([super().trends(camera), turns])
 
     def usual_pace(self, camera: Floats) -> float:
         """Logarithm of the median pace under this camera, camera heights per s."""
@@ -47,6 +51,12 @@ class Paces(Evidence):
             return 0.0
         off = self.misfits(camera, np.zeros(self._tracks))
         return float(camera[5] + np.median(off))
+
+    def _ways(self, camera: Floats) -> Floats:
+        """Each stretch on the ground, right and ahead of the camera, camera heights, `(n, 2)`."""
+        feet_xy = feet_of(camera[:3], self._places.middle_xy, np.exp(self._places.log_height), self._size)
+        ground = ground_points(camera[:3], feet_xy, self._size)
+        return np.asarray(ground[self._to] - ground[self._from])
 
 
 def _stretches(places: Places, share: float) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:

@@ -5,7 +5,7 @@ batches. Memory is bounded by configuration. Boxes that are cut by the frame's e
 are left out.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -37,6 +37,27 @@ class Places:
     """where in the frame that is, -0.5 to 0.5 on both axes, `(n, 2)`"""
     aspect: float
     """height over width that most have; 0 without places"""
+
+    def halves(self) -> Iterator["Places"]:
+        """The tracks that ended first, and the others, as many; nothing of a single track."""
+        tracks = np.unique(self.track)
+        if len(tracks) > 1:
+            first_late = int(tracks[len(tracks) // 2])
+            is_late = self.track >= first_late
+            yield self._where(~is_late, 0)
+            yield self._where(is_late, first_late)
+
+    def _where(self, kept: npt.NDArray[np.bool_], first_track: int) -> "Places":
+        return Places(
+            self.track[kept] - first_track,
+            self.time_s[kept],
+            self.middle_xy[kept],
+            self.log_height[kept],
+            self.likeness[kept],
+            self.points[kept],
+            self.frame_xy[kept],
+            self.aspect,
+        )
 
 
 @dataclass(slots=True)

@@ -4,7 +4,8 @@ The published tracks under VIAN_DATA take their turn where they are there. A fir
 scenes that nobody has seen.
 
 Prints the distribution of errors (largest vertical distance within the frame over its height), the area under
-its curve to 0.25, and how many intervals of the height in the frame's middle hold the truth.
+its curve to 0.25, and how many intervals of the height in the frame's middle, of tilt, roll and focal length hold the
+truth.
 """
 
 import os
@@ -27,6 +28,8 @@ class Score:
     error: float
     """image heights; infinite where there is no estimate"""
     is_covered: bool | None
+    view_covered: tuple[bool, ...] = ()
+    """tilt, roll and focal length"""
 
 
 def error_of(line: Line, camera: Camera) -> float:
@@ -39,7 +42,13 @@ def score(found: Estimate | None, camera: Camera) -> Score:
         return Score(np.inf, None)
     middle = camera.size.width / 2
     off = abs(found.fit.line.y(middle) - camera.horizon.y(middle))
-    return Score(error_of(found.fit.line, camera), bool(off < 1.96 * found.fit.deviation_at(middle)))
+    view_off = np.abs(found.fit.camera[:3] - [camera.tilt, camera.roll, np.log(camera.focal)])
+    view_covered = view_off < 1.96 * np.sqrt(np.diag(found.fit.covariance)[:3])
+    return Score(
+        error_of(found.fit.line, camera),
+        bool(off < 1.96 * found.fit.deviation_at(middle)),
+        tuple(map(bool, view_covered)),
+    )
 
 
 def scenes(count: int, data: Path | None, *, first_seed: int = 1000) -> Iterator[Scene]:
@@ -65,10 +74,12 @@ def _scene(kind: int, data: Path | None, random: np.random.Generator) -> Scene:
 def summary(scores: list[Score]) -> str:
     errors = np.array([each.error for each in scores])
     covered = [each.is_covered for each in scores if each.is_covered is not None]
+    tilt, roll, focal = np.mean([each.view_covered for each in scores if each.view_covered], axis=0)
     return (
         f"{len(scores)} scenes, {np.isinf(errors).sum()} without estimate: median {np.median(errors):.4f}, "
         f"90 % below {np.quantile(errors, 0.9, method='higher'):.3f}, "
-        f"AUC {np.mean(1 - np.minimum(errors, 0.25) / 0.25):.3f}, coverage {np.mean(covered):.2f}"
+        f"AUC {np.mean(1 - np.minimum(errors, 0.25) / 0.25):.3f}, coverage {np.mean(covered):.2f}, "
+        f"of tilt {tilt:.2f}, roll {roll:.2f}, focal length {focal:.2f}"
     )
 
 

@@ -11,7 +11,9 @@ import numpy as np
 import pytest
 
 from events import HorizonEstimate, HorizonVote, SceneChanged, batch_of, events_of
+from extractors.calibration import Camera as Pinhole
 from extractors.horizon import FrameSize, Horizon, HorizonConfig, Line, TrackPoints, estimated
+from extractors.scene import square, write
 from extractors.video import frames
 from tests.extractors.horizon.larger import error_of, scenes, score
 from tests.extractors.horizon.scenes import FPS, Camera, Scene, random_camera, random_walks, scene
@@ -82,6 +84,59 @@ def test_more_noise_means_a_wider_interval() -> None:
         assert found is not None
         deviations.append(found.fit.deviation_at(320))
     assert deviations == sorted(deviations)
+
+
+def test_paces_that_may_differ_by_direction_leave_the_focal_length_open() -> None:
+    """Along a street people are faster than across it, which looks like another focal length, not another roll."""
+    points = walked(view(20, 3), noise=0.01, false_tracks=0).points
+    told, untold = (estimated(points, SIZE, CONFIG.model_copy(update={"pace_turn": turn})) for turn in (0.1, 0.0))
+    assert told is not None
+    assert untold is not None
+    tilt, roll, focal = np.sqrt(np.diag(told.fit.covariance) / np.diag(untold.fit.covariance))[:3]
+    assert tilt > 1.2
+    assert focal > 1.2
+    assert roll == pytest.approx(1, abs=0.02)
+
+
+def test_halves_that_contradict_each_other_widen_the_interval() -> None:
+    """The first tracks as if from a camera that looks elsewhere: sizes that were learnt wrongly, and then rightly."""
+    one, other = (walked(view(tilt_deg, 3), false_tracks=0).points for tilt_deg in (20, 24))
+    later_us = int(one.time_us.max()) + 4_000_000
+    both = one.followed_by(replace(other, time_us=other.time_us + later_us, track_id=other.track_id + 100))
+    deviations = []
+    for points in (one, other, both):
+        found = estimated(points, SIZE, CONFIG)
+        assert found is not None
+        deviations.append(found.fit.deviation_at(320))
+    assert deviations[2] > 2 * max(deviations[:2])
+
+
+def test_boxes_that_share_a_blob_are_no_measurements() -> None:
+    """Half as high as they are, as motion expects them after it has learnt from cut people."""
+    points = walked(view(20, 3), false_tracks=0).points
+    x1, y1, x2, y2 = points.boxes_xyxy.T
+    is_shared = points.track_id % 3 == 0
+    low = np.stack([x1, y1, x2, np.where(is_shared, (y1 + y2) / 2, y2)], axis=1)
+    blobs = HorizonConfig.of_blobs()
+    seen = estimated(points[~is_shared], SIZE, blobs)
+    all_of_them = replace(points, boxes_xyxy=low, confidence=np.where(is_shared, 0.5, 1.0))
+    found = estimated(all_of_them, SIZE, blobs)
+    assert seen is not None
+    assert found is not None
+    assert found.fit.line == seen.fit.line
+
+
+def test_a_blob_s_height_that_is_off_more_afar_is_told() -> None:
+    covered = 0
+    for seed in range(8):
+        points = walked(view(25, 3), seed, noise=0.01, false_tracks=0).points
+        boxes = points.boxes_xyxy.copy()
+        boxes[:, 1] -= 0.05 * (boxes[:, 3] / SIZE.height - 0.5) * (boxes[:, 3] - boxes[:, 1])
+        found = estimated(replace(points, boxes_xyxy=boxes), SIZE, HorizonConfig.of_blobs())
+        assert found is not None
+        off = found.fit.camera[2] - np.log(700)
+        covered += bool(abs(off) < 1.96 * np.sqrt(found.fit.covariance[2, 2]))
+    assert covered >= 7
 
 
 def test_points_in_any_split_say_the_same() -> None:
@@ -211,6 +266,24 @@ def test_the_ten_scenes_of_real_trajectories(vian_data: Path) -> None:
     # Floors somewhat below what is reached (0.015 and 0.91), so that they fail on breakage and not on taste.
     assert np.median(errors) < 0.025
     assert np.mean(1 - np.minimum(errors, 0.25) / 0.25) > 0.85
+
+
+@pytest.mark.slow
+def test_a_crowd_before_a_zoomed_and_rolled_camera_is_not_said_too_surely(tmp_path: Path) -> None:
+    """Rendered: people a third of the picture high, many in one blob, many whose legs are not seen."""
+    camera = Pinhole(850.4, 0.4115, 0.15927, 5.005, 640, 360)
+    write(square(camera, people=14, apart_s=2.0, seed=100), tmp_path / "square.mp4")
+    made = run(frames(tmp_path / "square.mp4"))
+    horizon = Horizon(FrameSize(640, 360), HorizonConfig.of_blobs())
+    for batch in made.batches:
+        horizon.take_in(batch)
+    horizon.finish()
+    last = said(horizon)[1][-1]
+    slope, offset = camera.horizon
+    off = last.slope * 320 + last.offset_px - slope * 320 - offset
+    variance = last.offset_variance + 640 * last.slope_offset_covariance + 320**2 * last.slope_variance
+    assert abs(off) < 2.5 * np.sqrt(variance)
+    assert abs(off) < 0.2 * 360
 
 
 @pytest.mark.slow
