@@ -1,9 +1,10 @@
 """The noise of the camera, and pictures with less of it: small sensors at night.
 
-Contract: pictures in order of time go in, each comes out smoothed by means over so small squares as bring
-its noise down to what the background model is made for; pictures of little noise come out as they went in. What is
-left of the noise is told, so that the model can allow for it, and when the squares change: then the
-model must begin anew, since it has learnt other pictures.
+Contract: pictures in order of time go in, each comes out smoothed by medians over so small squares as bring its
+noise down to what the background model is made for; pictures of little noise come out as they went in. What is left of
+the noise is told, so that the model can allow for it, and when it must begin anew, since it has learnt other pictures:
+the first, of which the noise was not known, or smoother ones. Medians,
+and not means, which make a drop of rain as wide as an object.
 
 Noise is what differs from one picture to the next where nothing moves, which is most of the picture: so the median.
 What the whole picture does together (exposure, flicker) is no noise. It is looked at now and then, since it changes
@@ -55,7 +56,7 @@ class Grain:
 
     @property
     def is_renewed(self) -> bool:
-        """Whether the last picture was smoothed otherwise than those before."""
+        """Whether a model of the pictures before the last must begin anew."""
         return self._is_renewed
 
     def smoothed(self, image: Image, dt_s: float) -> Image:
@@ -66,15 +67,16 @@ class Grain:
         if last is not None and self._since_s >= LOOK_S and not np.array_equal(_sample(last), _sample(image)):
             self._since_s = 0.0
             self._look(last, image)
-        return _mean(image, self._side)
+        return _median(image, self._side)
 
     def _look(self, last: Image, image: Image) -> None:
         side, deviation = self._needed(last, image)
         self._looks = self._looks + 1 if side == self._wanted else 1
         self._wanted = side
         if self._count == 0 or self._looks >= (LOOKS_LARGER if side > self._side else LOOKS_SMALLER):
-            self._is_renewed = side != self._side
-            self._count = 0 if self._is_renewed else self._count
+            # Of larger squares a model that has learnt for long knows the means already.
+            self._is_renewed = side < self._side or (self._count == 0 and side > 1)
+            self._count = self._count if side == self._side else 0
             self._side = side
         if side == self._side:
             self._count += 1
@@ -85,12 +87,12 @@ class Grain:
         side, deviation = 1, _deviation(last, image)
         while deviation > self._config.noise_levels_max and side + 2 <= self._config.noise_side_max:
             side += 2
-            deviation = _deviation(_mean(last, side), _mean(image, side))
+            deviation = _deviation(_median(last, side), _median(image, side))
         return side, deviation
 
 
-def _mean(image: Image, side: int) -> Image:
-    return image if side == 1 else np.asarray(cv2.blur(image, (side, side)), np.uint8)
+def _median(image: Image, side: int) -> Image:
+    return image if side == 1 else np.asarray(cv2.medianBlur(image, side), np.uint8)
 
 
 def _deviation(last: Image, image: Image) -> float:

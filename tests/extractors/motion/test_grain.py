@@ -35,7 +35,7 @@ def test_pictures_of_little_noise_come_out_as_they_went_in() -> None:
     assert grain.deviation == pytest.approx(1.5, abs=0.6)
 
 
-@pytest.mark.parametrize("deviation", [4.0, 8.0])
+@pytest.mark.parametrize("deviation", [5.0, 8.0])
 def test_noise_is_brought_down_from_the_second_picture_on(deviation: float) -> None:
     grain = Grain(MotionConfig())
     renewed, left = [], []
@@ -53,7 +53,8 @@ def test_what_smoothing_cannot_bring_down_is_told() -> None:
     grain = Grain(MotionConfig())
     for picture in noisy(25.0):
         grain.smoothed(picture, DT)
-    assert grain.deviation == pytest.approx(25 / 5, rel=0.2)
+    # The median of n has pi / 2 times the variance of their mean (asymptotically; of 25 it is 1.53).
+    assert grain.deviation == pytest.approx(np.sqrt(1.53) * 25 / 5, rel=0.1)
 
 
 def test_flicker_of_the_whole_picture_is_no_noise() -> None:
@@ -70,14 +71,14 @@ def test_a_stream_that_repeats_pictures_is_no_quieter() -> None:
     assert grain.deviation > 1
 
 
-def test_noise_that_comes_with_the_night_is_met_after_a_few_looks() -> None:
+def test_noise_that_comes_with_the_night_is_met_after_a_few_looks_without_a_new_model() -> None:
     grain = Grain(MotionConfig())
-    renewed = []
+    renewed, is_smoothed = [], []
     for picture in [*noisy(1.0), *noisy(8.0, 8)]:
-        grain.smoothed(picture, 1.0)
+        is_smoothed.append(grain.smoothed(picture, 1.0) is not picture)
         renewed.append(grain.is_renewed)
-    assert sum(renewed) == 1
-    assert 5 < renewed.index(True) < 9
+    assert not any(renewed)
+    assert 5 < is_smoothed.index(True) < 9
 
 
 def test_smoothing_ends_when_it_was_quiet_for_long() -> None:
@@ -86,6 +87,9 @@ def test_smoothing_ends_when_it_was_quiet_for_long() -> None:
     for picture in [*noisy(8.0), *3 * quiet]:
         grain.smoothed(picture, 1.0)
     assert grain.smoothed(quiet[0], 1.0) is not quiet[0]
+    renewed = []
     for picture in 4 * quiet:
         grain.smoothed(picture, 1.0)
+        renewed.append(grain.is_renewed)
+    assert sum(renewed) == 1
     assert grain.smoothed(quiet[0], 1.0) is quiet[0]

@@ -187,3 +187,19 @@ def test_people_in_the_noise_of_the_night_are_followed(light: float, deviation: 
 @pytest.mark.parametrize(("light", "deviation", "blur_px"), NIGHTS)
 def test_noise_alone_is_nobody(light: float, deviation: float, blur_px: float) -> None:
     assert not watched(seconds=6, change=at_night(light, deviation, blur_px)).run.batches
+
+
+def test_a_parked_car_that_leaves_is_followed_and_its_place_is_no_track_for_long() -> None:
+    seen = watched(car(1, ((0, 0.5, 0.6), (6, 0.5, 0.6), (6.5, 0.55, 0.6), (8.5, 1.4, 0.6))), seconds=20)
+    assert max(end.x_exit for end in seen.run.ends) > 0.95 * CAMERA.width
+    # The hole is taken for something until it is plain that nothing is there, and later for nothing.
+    assert seen.run.column("frame").max() < 10 * (6.5 + 2)
+
+
+def test_who_comes_to_where_a_car_has_left_is_followed() -> None:
+    seen = watched(
+        car(1, ((0, 0.5, 0.6), (3, 0.5, 0.6), (3.5, 0.55, 0.6), (5.5, 1.4, 0.6))),
+        actor(2, ((6, -0.05, 0.62), (13, 1.05, 0.62)), DARK),
+        seconds=14,
+    )
+    assert [2] in seen.objects
