@@ -15,6 +15,9 @@ def main() -> None:
     # Services are ended with SIGTERM: it shall end a command like Ctrl-C, so that an embedded PostgreSQL stops too.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
+        from vian.interrupts import keep_interrupts
+
+        keep_interrupts()
         from vian.cli import app
     except KeyboardInterrupt:
         sys.stderr.write("error: interrupted before anything was done\n")

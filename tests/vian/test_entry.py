@@ -11,6 +11,18 @@ sys.meta_path.insert(0, Interrupting())
 from vian.entry import main
 main()
 """
+INTERRUPTED_IN_A_CALLBACK = """
+import os, signal, sys, weakref
+class Interrupting:
+    def find_spec(self, name, path=None, target=None):
+        if name == "vian.cli":
+            watched = Interrupting()
+            watching = weakref.ref(watched, lambda _: os.kill(os.getpid(), signal.SIGINT))
+            del watched
+sys.meta_path.insert(0, Interrupting())
+from vian.entry import main
+main()
+"""
 INTERRUPTED_AT_THE_END = """
 import atexit, os, signal
 atexit.register(lambda: os.kill(os.getpid(), signal.SIGINT))
@@ -25,6 +37,11 @@ def run(program: str, *arguments: str) -> subprocess.CompletedProcess[str]:
 
 def test_an_interrupt_before_the_command_is_there_is_an_interrupt_like_another() -> None:
     ran = run(INTERRUPTED_WHILE_IMPORTING, "--version")
+    assert (ran.returncode, ran.stderr) == (130, "error: interrupted before anything was done\n")
+
+
+def test_an_interrupt_that_fell_into_a_callback_is_not_lost() -> None:
+    ran = run(INTERRUPTED_IN_A_CALLBACK, "--version")
     assert (ran.returncode, ran.stderr) == (130, "error: interrupted before anything was done\n")
 
 

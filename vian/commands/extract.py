@@ -1,10 +1,8 @@
 """`vian extract`: run an extractor on a video, on a live stream, or on what the log holds."""
 
 import re
-import signal
 import threading
 from pathlib import Path
-from types import FrameType
 from typing import Annotated
 
 import typer
@@ -23,6 +21,7 @@ from vian.commands import extract_calibration
 from vian.errors import WrongUsage
 from vian.extraction import Extraction, Job, extract_motion
 from vian.horizon_extraction import HorizonExtraction, HorizonJob, extract_horizon
+from vian.interrupts import stop_on_signals
 from vian.options import has_zone, opened, settings_for, time_of
 from vian.output import Output, counted
 from vian.settings import Settings
@@ -106,7 +105,7 @@ def motion(
         output.note(f"--start names no time zone: taken as UTC, {started_at.isoformat()}")
     place = _place(video, login_file)
     shape, ignored = _shape(fps, resize), read_ignored_area(mask) if mask else None
-    stopping = _stop_on_signals() if isinstance(place, Address) else threading.Event()
+    stopping = stop_on_signals() if isinstance(place, Address) else threading.Event()
     with opened(settings, data_dir=data_dir, is_made=True) as log, output.progress("frames", None) as bar:
 
         def show(done: int, expected: int | None) -> None:
@@ -260,18 +259,6 @@ def _ca_file(settings: Settings) -> Path | None:
     except OSError as error:
         raise WrongUsage(f"live_ca_file {settings.live_ca_file} cannot be read: {error.strerror}") from error
     return settings.live_ca_file.absolute()
-
-
-def _stop_on_signals() -> threading.Event:
-    """An event that SIGINT or SIGTERM sets: a live stream has no end of its own."""
-    stopping = threading.Event()
-
-    def stop(_number: int, _frame: FrameType | None) -> None:
-        stopping.set()
-
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, stop)
-    return stopping
 
 
 def report(output: Output, extraction: Extraction) -> None:

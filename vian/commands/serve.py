@@ -4,14 +4,11 @@ Told to stop (SIGINT, SIGTERM) it did what it was told and ends with 0, as servi
 other commands, which are interrupted before their end, end with 130.
 """
 
-import signal
-import threading
 from contextlib import ExitStack
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 from time import monotonic
-from types import FrameType
 from typing import Annotated
 
 import structlog
@@ -29,6 +26,7 @@ from vian import logs, options
 from vian.admission import access_for, certificate_of, refusals_for, refusals_part
 from vian.api import bind, create_app, serving
 from vian.clock import utc_now
+from vian.interrupts import stop_on_signals
 from vian.metrics import Metrics, Watched
 from vian.options import opened, settings_for
 from vian.output import Output
@@ -108,7 +106,7 @@ def serve(
         door = _door(log, settings) if role is Role.CENTRAL else None
         precedence = Precedence(settings.rows_wait_s)
         parts = stack.enter_context(Parts(_parts(stack, log, settings, role, door, precedence)))
-        stopping = _stop_on_signals()
+        stopping = stop_on_signals()
         app = (
             create_app(log, metrics=_metrics(log, settings, None))
             if door is None
@@ -184,15 +182,3 @@ def _parts(
         daemon = stack.enter_context(station_daemon(log, settings.station, peer, plan, pace=pace_of(settings)))
         parts.append(sync_part(daemon))
     return parts
-
-
-def _stop_on_signals() -> threading.Event:
-    """An event that SIGINT or SIGTERM sets."""
-    stopping = threading.Event()
-
-    def stop(_number: int, _frame: FrameType | None) -> None:
-        stopping.set()
-
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, stop)
-    return stopping
