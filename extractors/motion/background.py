@@ -72,7 +72,7 @@ class Foreground:
     is_light_change: bool
     """whether the light changed, so that the mask says nothing (and is empty)"""
     ghosts: frozenset[int] = frozenset()
-    """tracks that do not move and turned out to be no objects"""
+    """standing tracks that turned out to be no objects"""
 
 
 class Background:
@@ -93,22 +93,13 @@ class Background:
         self._held: HeldBackground | None = None
         self._ghost_check_s = 0.0
 
-    def foreground(
-        self,
-        image: Image,
-        dt_s: float,
-        standing: dict[int, Box],
-        *,
-        resting: dict[int, Box] | None = None,
-        noise: float = 0.0,
-    ) -> Foreground:
+    def foreground(self, image: Image, dt_s: float, standing: dict[int, Box], noise: float = 0.0) -> Foreground:
         """What in the picture does not belong to the background.
 
         Args:
             image: The picture.
             dt_s: Time since the picture before, s.
             standing: Boxes `(4,)` px of what stands still, by track.
-            resting: Boxes `(4,)` px of what does not move now, by track; it may be a ghost.
             noise: Standard deviation of the picture's noise, grey levels.
         """
         height, width = image.shape[:2]
@@ -126,7 +117,7 @@ class Background:
             self._restart()
         if is_light_change:
             return Foreground(np.zeros_like(mask), share, is_light_change=True)
-        ghosts = self._ghosts(levelled, mask, held, resting or {}) if self._is_ghost_check_due(dt_s) else frozenset()
+        ghosts = held.ghosts(levelled, mask) if self._is_ghost_check_due(dt_s) else frozenset()
         return Foreground(mask, share, is_light_change=False, ghosts=ghosts)
 
     def known(self) -> Image | None:
@@ -164,7 +155,7 @@ class Background:
         else:
             mask = self._subtractor.apply(image, knownForegroundMask=held.mask, learningRate=rate)
         binary = np.asarray(cv2.threshold(mask, FOREGROUND - 1, FOREGROUND, cv2.THRESH_BINARY)[1], np.uint8)
-        held.fill(image, binary, difference, dt_s)
+        held.fill(image, binary, difference)
         return binary
 
     def _is_light_change(self, image: Image, mask: Mask, share: float) -> bool:
@@ -175,13 +166,6 @@ class Background:
         if cv2.countNonZero(calm) <= self._config.light_check_share * calm.size:
             return False
         return unchanged_share(image, self._dominant(image), calm) > UNCHANGED_MIN
-
-    def _ghosts(self, image: Image, mask: Mask, held: HeldBackground, resting: dict[int, Box]) -> frozenset[int]:
-        """Tracks that turn out to be no objects; the background there is mended."""
-        ghosts = held.ghosts(image, mask, resting, lambda: self._dominant(image))
-        for track in sorted(ghosts & resting.keys()):
-            held.heal(resting[track], image, self._config.absorb_s)
-        return ghosts
 
     def _is_ghost_check_due(self, dt_s: float) -> bool:
         self._ghost_check_s += dt_s

@@ -198,13 +198,8 @@ class _Motion:
     def _moving(self, frame: Frame, image: Image, dt_s: float) -> _Found:
         """What moves in the picture, which is the frame's, smaller."""
         assert self._tracks is not None
-        foreground = self._background.foreground(
-            image,
-            dt_s,
-            self._tracks.standing(),
-            resting=self._tracks.resting(),
-            noise=self._grain.deviation,
-        )
+        standing = self._tracks.standing()
+        foreground = self._background.foreground(image, dt_s, standing, self._grain.deviation)
         if self._ignored is not None:
             foreground = self._ignored.without(foreground)
         mask = blobs.cleaned(foreground.mask, self._config)

@@ -3,8 +3,7 @@
 Contract: a region is held from the moment a track stands until it moves on or ends; in between the
 background model is not updated there (`mask` says where), and `fill` decides foreground by the
 difference to the remembered background. What turns out to be no object but the hole that one left in
-a wrong background (a ghost) is named by `ghosts`, and must not be held any longer: it is healed, which is to say that
-the background there is what is seen now, until the model has learnt it.
+a wrong background (a ghost) is named by `ghosts`, and must not be held any longer.
 
 Source of the ghost test: edges at an object's outline belong to the picture, edges at a ghost's outline
 to the background; after R. Cucchiara et al., "Detecting Moving Objects, Ghosts, and Shadows in Video
@@ -12,7 +11,6 @@ Streams", PAMI 2003.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -34,23 +32,12 @@ GHOST_EDGES = 2.0
 OUTLINE = np.ones((3, 3), np.uint8)
 
 
-@dataclass(slots=True, eq=False)
-class _Healed:
-    """A region whose background was wrong."""
-
-    region: Region
-    background: Image
-    """what was seen there when that was found out"""
-    left_s: float
-
-
 class HeldBackground:
     """Regions in which the background is remembered, by track."""
 
     def __init__(self, width: int, height: int) -> None:
         self._width, self._height = width, height
         self._regions: dict[int, Region] = {}
-        self._healed: list[_Healed] = []
         self._background = np.zeros((height, width, 3), np.uint8)
         self._mask = np.zeros((height, width), np.uint8)
 
@@ -77,50 +64,26 @@ class HeldBackground:
             self._background[is_new] = dominant()[is_new]
         self._regions, self._mask = regions, mask
 
-    def heal(self, box: Box, image: Image, duration_s: float) -> None:
-        """Take what is seen in the box for background, too, for so long: the hole is none, what comes is something."""
-        x1, y1, x2, y2 = region = self._around(box)
-        self._healed.append(_Healed(region, image[y1:y2, x1:x2].copy(), duration_s))
-
-    def fill(self, image: Image, mask: Mask, difference: float, dt_s: float) -> None:
-        """Write into the mask what is foreground in held and healed regions: what differs by more, grey levels."""
-        for healed in self._healed:
-            healed.left_s -= dt_s
-            x1, y1, x2, y2 = healed.region
-            here = np.s_[y1:y2, x1:x2]
-            mask[here] = cv2.bitwise_and(mask[here], _different(image[here], healed.background, difference))
-        self._healed = [healed for healed in self._healed if healed.left_s > 0]
+    def fill(self, image: Image, mask: Mask, difference: float) -> None:
+        """Write into the mask what is foreground in the held regions: what differs by more, grey levels."""
         for x1, y1, x2, y2 in self._regions.values():
             here = np.s_[y1:y2, x1:x2]
-            mask[here] = _different(image[here], self._background[here], difference)
+            blue, green, red = cv2.split(cv2.absdiff(image[here], self._background[here]))
+            largest = cv2.max(cv2.max(blue, green), red)
+            mask[here] = cv2.threshold(largest, difference, FOREGROUND, cv2.THRESH_BINARY)[1]
 
-    def ghosts(
-        self, image: Image, mask: Mask, resting: dict[int, Box], dominant: Callable[[], Image]
-    ) -> frozenset[int]:
-        """Tracks that are no object, but the hole that one left in the background.
-
-        Args:
-            image: The picture.
-            mask: Its foreground.
-            resting: Boxes `(4,)` px of tracks that do not move, those that are held among them.
-            dominant: Gives the background as it is known now; called only when a track is not held.
-        """
-        free = {track: self._around(box) for track, box in resting.items() if track not in self._regions}
-        known = [(self._regions, self._background), *([(free, dominant())] if free else [])]
+    def ghosts(self, image: Image, mask: Mask) -> frozenset[int]:
+        """Tracks whose regions hold no object, but the hole that one left in the background."""
         return frozenset(
             track
-            for regions, background in known
-            for track, (x1, y1, x2, y2) in regions.items()
-            if _is_ghost(image[y1:y2, x1:x2], background[y1:y2, x1:x2], mask[y1:y2, x1:x2])
+            for track, (x1, y1, x2, y2) in self._regions.items()
+            if _is_ghost(image[y1:y2, x1:x2], self._background[y1:y2, x1:x2], mask[y1:y2, x1:x2])
         )
 
     def _region(self, track: int, box: Box) -> Region:
         region = self._regions.get(track)
         if region and region[0] <= box[0] and region[1] <= box[1] and box[2] <= region[2] and box[3] <= region[3]:
             return region
-        return self._around(box)
-
-    def _around(self, box: Box) -> Region:
         dx, dy = MARGIN * (box[2] - box[0]), MARGIN * (box[3] - box[1])
         return (
             max(0, int(box[0] - dx)),
@@ -128,12 +91,6 @@ class HeldBackground:
             min(self._width, int(box[2] + dx) + 1),
             min(self._height, int(box[3] + dy) + 1),
         )
-
-
-def _different(image: Image, background: Image, difference: float) -> Mask:
-    blue, green, red = cv2.split(cv2.absdiff(image, background))
-    largest = cv2.max(cv2.max(blue, green), red)
-    return np.asarray(cv2.threshold(largest, difference, FOREGROUND, cv2.THRESH_BINARY)[1], np.uint8)
 
 
 def _is_ghost(image: Image, background: Image, mask: Mask) -> bool:

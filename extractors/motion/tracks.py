@@ -33,9 +33,6 @@ CUT_WEIGHTS = np.array([1.0, 1.0, 0.3, 0.3])
 """The size of what enters or leaves the picture changes from one picture to the next: it is followed at once."""
 
 
-REST_S = 0.5
-"""After this long near one place a track may be a ghost, s: who walks has gone on."""
-
 EndReason = Literal["lost", "left_frame", "input_changed", "end_of_video"]
 
 
@@ -132,25 +129,20 @@ class Tracks:
 
     def standing(self) -> dict[int, BoxesXyxy]:
         """Boxes `(4,)` of the confirmed tracks that stand still and may go on standing."""
-        return self._still(self._config.stand_after_s, self._config.stand_max_s)
-
-    def resting(self) -> dict[int, BoxesXyxy]:
-        """Boxes `(4,)` of the confirmed tracks that do not move, for a moment already."""
-        return self._still(REST_S, np.inf)
+        boxes = self._clipped(xyxy(self._means[:, :4]))
+        return {
+            track.track_id: box
+            for track, box in zip(self._alive, boxes, strict=True)
+            if track.track_id
+            and self._config.stand_after_s <= track.stood_s <= self._config.stand_max_s
+            and np.all(box[2:] > box[:2])
+        }
 
     def disown(self, ghosts: frozenset[int]) -> None:
         """End these tracks at the next step: there is nothing where they stand."""
         for track in self._alive:
             if track.track_id in ghosts:
                 track.is_ghost = True
-
-    def _still(self, least_s: float, most_s: float) -> dict[int, BoxesXyxy]:
-        boxes = self._clipped(xyxy(self._means[:, :4]))
-        return {
-            track.track_id: box
-            for track, box in zip(self._alive, boxes, strict=True)
-            if track.track_id and least_s <= track.stood_s <= most_s and np.all(box[2:] > box[:2])
-        }
 
     def step(self, found: BoxesXyxy | Detections | None, frame: int, time_us: int, dt_s: float) -> Observed:
         """The tracks after one more picture.
