@@ -23,7 +23,7 @@ import numpy.typing as npt
 from extractors.media import Image
 from extractors.motion.config import MotionConfig
 from extractors.motion.edges import BLOCKS_MIN, compared, share_different, sight
-from extractors.motion.held import FOREGROUND, Box, HeldBackground, Mask
+from extractors.motion.held import DIFFERENCE, FOREGROUND, Box, HeldBackground, Mask
 
 Sample = npt.NDArray[np.float32]
 
@@ -35,6 +35,14 @@ TONE_BAND_SAMPLES_MIN = 30
 """Fewer pixels in a band say nothing."""
 TONE_CHANGE_MIN = 1.5
 """Smaller changes are left alone: they are far below what makes a pixel foreground, grey levels."""
+CHANNELS = 3
+VARIANCE = 15.0
+"""Variance with which a pixel's model begins, at least, grey levels squared: OpenCV's own, for noise of 2 levels ..."""
+VARIANCES_MAX = 5.0
+"""... and to so many times of which it may grow."""
+HELD_DEVIATIONS = 5.0
+"""What is held counts as hidden where the picture differs by so many standard deviations of the noise: as many as the
+model asks for."""
 SHADOW_MIN = 0.5
 """Share of the light that a shadow leaves at least; what is darker is an object ..."""
 GREY_SHADOW_MIN = 0.7
@@ -85,20 +93,22 @@ class Background:
         self._held: HeldBackground | None = None
         self._ghost_check_s = 0.0
 
-    def foreground(self, image: Image, dt_s: float, standing: dict[int, Box]) -> Foreground:
+    def foreground(self, image: Image, dt_s: float, standing: dict[int, Box], noise: float = 0.0) -> Foreground:
         """What in the picture does not belong to the background.
 
         Args:
             image: The picture.
             dt_s: Time since the picture before, s.
             standing: Boxes `(4,)` px of what stands still, by track.
+            noise: Standard deviation of the picture's noise, grey levels.
         """
         height, width = image.shape[:2]
         held = self._held = self._held or HeldBackground(width, height)
         levelled = self._levelled(image, dt_s)
         self._subtractor.setShadowThreshold(GREY_SHADOW_MIN if is_grey(self._sample) else SHADOW_MIN)
         held.hold(standing, lambda: self._dominant(levelled))
-        mask = self._subtracted(levelled, dt_s, held)
+        self._allow(noise)
+        mask = self._subtracted(levelled, dt_s, held, max(DIFFERENCE, HELD_DEVIATIONS * noise))
         share = cv2.countNonZero(mask) / mask.size
         self._is_quiet = mask[:: self._step, :: self._step] == 0
         is_light_change = self._is_light_change(levelled, mask, share)
@@ -130,7 +140,13 @@ class Background:
         self._reference[quiet] += (rate * (wanted - self._reference))[quiet]
         return image if table is None else np.asarray(cv2.LUT(image, table), np.uint8)
 
-    def _subtracted(self, image: Image, dt_s: float, held: HeldBackground) -> Mask:
+    def _allow(self, noise: float) -> None:
+        """Let the model begin with the variance that noise makes, and reach it; it sums that of three channels."""
+        variance = max(VARIANCE, CHANNELS * noise**2)
+        self._subtractor.setVarInit(variance)
+        self._subtractor.setVarMax(VARIANCES_MAX * variance)
+
+    def _subtracted(self, image: Image, dt_s: float, held: HeldBackground, difference: float) -> Mask:
         self._elapsed_s += dt_s
         memory_s = min(self._config.memory_s, YOUNG_SHARE * self._config.memory_s + self._elapsed_s)
         rate = min(1.0, dt_s / memory_s)
@@ -139,7 +155,7 @@ class Background:
         else:
             mask = self._subtractor.apply(image, knownForegroundMask=held.mask, learningRate=rate)
         binary = np.asarray(cv2.threshold(mask, FOREGROUND - 1, FOREGROUND, cv2.THRESH_BINARY)[1], np.uint8)
-        held.fill(image, binary)
+        held.fill(image, binary, difference)
         return binary
 
     def _is_light_change(self, image: Image, mask: Mask, share: float) -> bool:

@@ -40,6 +40,10 @@ class MotionConfig(BaseModel):
     """time after which what nobody follows and what stands still is background, s"""
     variance_threshold: Positive = 25.0
     """squared distance to the background, in variances, from which a pixel is foreground"""
+    noise_levels_max: Positive = 3.5
+    """noise from which pictures are smoothed, standard deviation in grey levels: a camera in daylight has 1 to 3"""
+    noise_side_max: Annotated[int, Field(ge=1)] = 5
+    """... by medians over squares of at most this side, px of the analysed picture: legs of people are as thin"""
     is_shadow_removed: bool = True
     """whether darker pixels of unchanged colour count as background"""
     tone_max: Annotated[float, Field(ge=0, le=255)] = 40.0

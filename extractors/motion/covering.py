@@ -77,6 +77,8 @@ class _Crop:
     """0 to 1, `(height, width)`"""
     x: int
     y: int
+    picture_wh: Array
+    """size of the picture, `(2,)` px"""
 
 
 def explained(mask: Mask, blobs_xyxy: BoxesXyxy, tracked_xyxy: BoxesXyxy, sizes: LearntSizes) -> Detections | None:
@@ -99,7 +101,7 @@ def explained(mask: Mask, blobs_xyxy: BoxesXyxy, tracked_xyxy: BoxesXyxy, sizes:
     expected_wh = np.stack([known.width, known.height], axis=1)
     is_cut = _touches_edge(blobs_xyxy, mask.shape)
     found = []
-    for members in _clusters(blobs_xyxy, expected_wh):
+    for members in _clusters(blobs_xyxy, expected_wh, is_cut):
         first = members[0]
         if len(members) == 1 and _is_one(mask, blobs_xyxy[first], own[first, 2:] / expected_wh[first], is_cut[first]):
             found.append(_single(own[first], expected_wh[first], is_cut=bool(is_cut[first])))
@@ -142,10 +144,13 @@ def _touches_edge(boxes_xyxy: BoxesXyxy, shape: tuple[int, ...]) -> npt.NDArray[
     return np.asarray(np.any((boxes_xyxy[:, :2] <= 2) | (boxes_xyxy[:, 2:] >= [shape[1] - 2, shape[0] - 2]), axis=1))
 
 
-def _clusters(blobs_xyxy: BoxesXyxy, expected_wh: Array) -> list[npt.NDArray[np.intp]]:
-    """Blobs that are looked at together: those too low for an object with what is near them."""
+def _clusters(blobs_xyxy: BoxesXyxy, expected_wh: Array, is_cut: npt.NDArray[np.bool_]) -> list[npt.NDArray[np.intp]]:
+    """Blobs that are looked at together: those too low for an object with what is near them.
+
+    What the picture's edge cuts is low because of that, and no part of what is near.
+    """
     count = len(blobs_xyxy)
-    is_part = (blobs_xyxy[:, 3] - blobs_xyxy[:, 1]) < PART_HEIGHT_MAX * expected_wh[:, 1]
+    is_part = ((blobs_xyxy[:, 3] - blobs_xyxy[:, 1]) < PART_HEIGHT_MAX * expected_wh[:, 1]) & ~is_cut
     reach = expected_wh * NEAR / 2
     around = blobs_xyxy + np.concatenate([-reach, reach], axis=1)
     is_linked = (intersections(around, around) > 0) & (is_part[:, None] | is_part[None, :])
@@ -181,7 +186,8 @@ def _crop(mask: Mask, low: Array, high: Array, margin: float, factor: int) -> _C
     width, height = max(1, (x2 - x1) // factor), max(1, (y2 - y1) // factor)
     part = mask[y1 : y1 + height * factor, x1 : x1 + width * factor]
     small = part if factor == 1 else cv2.resize(part, (width, height), interpolation=cv2.INTER_AREA)
-    return _Crop(np.asarray(small, np.float64) / FOREGROUND, int(x1), int(y1))
+    picture_wh = np.array(mask.shape[::-1], float)
+    return _Crop(np.asarray(small, np.float64) / FOREGROUND, int(x1), int(y1), picture_wh)
 
 
 def _greedy(crop: _Crop, tracked_xyxy: BoxesXyxy, sizes: LearntSizes, factor: int) -> tuple[BoxesXyxy, Array]:
@@ -193,10 +199,10 @@ def _greedy(crop: _Crop, tracked_xyxy: BoxesXyxy, sizes: LearntSizes, factor: in
     body = _inner(local, BODY, 0.0, 1.0)
     head, above = _inner(local, HEAD[0], 0.0, HEAD[1]), _inner(local, HEAD[0], -HEAD[1], -HEAD[1] / 4)
     whole = _Sums(crop.filled)
-    area = areas(body)
+    area, head_area, above_area = (_seen_areas(crop, part, factor) for part in (body, head, above))
     empty = area - whole.within(body)
-    head_filled = whole.within(head) / areas(head)
-    fixed = HEAD_GAIN * head_filled - ABOVE_COST * whole.within(above) / areas(above)
+    head_filled = whole.within(head) / head_area
+    fixed = HEAD_GAIN * head_filled - ABOVE_COST * whole.within(above) / above_area
     fixed += TRACK_GAIN * _pull(feet, boxes, tracked_xyxy) - EMPTY_COST * empty / area
     left = crop.filled.copy()
     chosen, shares = [], []
@@ -235,6 +241,17 @@ def _inner(boxes: BoxesXyxy, width: float, top: float, bottom: float) -> BoxesXy
     return np.stack([x - width * w / 2, upper + top * h, x + width * w / 2, upper + bottom * h], axis=1)
 
 
+def _seen_areas(crop: _Crop, local: BoxesXyxy, factor: int) -> Array:
+    """Areas of the parts of boxes that lie in the picture, px² of the crop, at least 1, `(n,)`.
+
+    What the picture's edge cuts off is neither filled nor empty.
+    """
+    corner = np.array([crop.x, crop.y])
+    limits = np.concatenate([-corner, crop.picture_wh - corner]) / factor
+    seen = np.clip(local, np.tile(limits[:2], 2), np.tile(limits[2:], 2))
+    return np.maximum(areas(seen), 1.0)
+
+
 class _Sums:
     """Sums over boxes of an image, by its integral image."""
 
@@ -269,10 +286,11 @@ def _shared_out(crop: _Crop, boxes: BoxesXyxy, factor: int) -> tuple[BoxesXyxy, 
         middles, sizes = (boxes[:, :2] + boxes[:, 2:]) / 2, boxes[:, 2:] - boxes[:, :2]
         distance = np.abs(pixels[:, None] - middles[None]) / sizes[None]
         nearest = (distance**2).sum(axis=2).argmin(axis=1)
+        seen = areas(np.clip(boxes, 0, np.tile(crop.picture_wh, 2)))
         is_in = (distance[np.arange(len(pixels)), nearest] <= 0.6).all(axis=1)
         for k in range(len(boxes)):
             own = pixels[is_in & (nearest == k)]
-            shares[k] = len(own) * factor**2 / (BODY * sizes[k].prod())
+            shares[k] = len(own) * factor**2 / (BODY * seen[k])
             if shares[k] < SHARE_CLEAR:
                 continue
             low, high = np.quantile(own, [0.05, 0.95], axis=0)

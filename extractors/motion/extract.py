@@ -24,6 +24,7 @@ from extractors.motion.config import MotionConfig
 from extractors.motion.covering import explained
 from extractors.motion.detection import Detections, Detector
 from extractors.motion.emission import Emission
+from extractors.motion.grain import Grain
 from extractors.motion.held import FOREGROUND, Mask
 from extractors.motion.ignored import IgnoredArea
 from extractors.motion.shake import Shake
@@ -168,7 +169,9 @@ class _Motion:
         if self._tracks is None or frame.image.shape != self._shape:
             self._restart(frame)
         assert self._tracks is not None
-        image = self._shake.undone(image, dt_s)
+        image = self._grain.smoothed(self._shake.undone(image, dt_s), dt_s)
+        if self._grain.is_renewed:
+            self._background = Background(self._config)
         found = self._moving(frame, image, dt_s) if self._detector is None else self._modelled(frame, image)
         trusted = None if view.is_doubtful else found.objects
         observed = self._tracks.step(trusted, frame.index, frame.time_us, dt_s)
@@ -182,7 +185,8 @@ class _Motion:
     def _moving(self, frame: Frame, image: Image, dt_s: float) -> _Found:
         """What moves in the picture, which is the frame's, smaller."""
         assert self._tracks is not None
-        foreground = self._background.foreground(image, dt_s, self._tracks.standing())
+        standing = self._tracks.standing()
+        foreground = self._background.foreground(image, dt_s, standing, self._grain.deviation)
         if self._ignored is not None:
             foreground = self._ignored.without(foreground)
         mask = blobs.cleaned(foreground.mask, self._config)
@@ -262,6 +266,7 @@ class _Motion:
         self._factor = self._factor_of(frame.image)
         height, width = shrunk(frame.image, self._factor).shape[:2]
         self._shake = Shake(self._config)
+        self._grain = Grain(self._config)
         self._background = Background(self._config)
         self._sway = Sway(self._config)
         self._sizes = None

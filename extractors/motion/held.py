@@ -26,7 +26,7 @@ FOREGROUND = 255
 MARGIN = 0.15
 """A held region is the box and this share of its size on each side."""
 DIFFERENCE = 20
-"""Grey levels by which a pixel must differ from the held background, in some channel, to be foreground."""
+"""Grey levels by which a pixel must differ from the held background, in some channel, to be foreground, at least."""
 GHOST_EDGES = 2.0
 """The background's edges along the outline are stronger than the picture's by this factor for a ghost."""
 OUTLINE = np.ones((3, 3), np.uint8)
@@ -64,13 +64,13 @@ class HeldBackground:
             self._background[is_new] = dominant()[is_new]
         self._regions, self._mask = regions, mask
 
-    def fill(self, image: Image, mask: Mask) -> None:
-        """Write into the mask what is foreground in the held regions."""
+    def fill(self, image: Image, mask: Mask, difference: float) -> None:
+        """Write into the mask what is foreground in the held regions: what differs by more, grey levels."""
         for x1, y1, x2, y2 in self._regions.values():
             here = np.s_[y1:y2, x1:x2]
             blue, green, red = cv2.split(cv2.absdiff(image[here], self._background[here]))
-            difference = cv2.max(cv2.max(blue, green), red)
-            mask[here] = cv2.threshold(difference, DIFFERENCE, FOREGROUND, cv2.THRESH_BINARY)[1]
+            largest = cv2.max(cv2.max(blue, green), red)
+            mask[here] = cv2.threshold(largest, difference, FOREGROUND, cv2.THRESH_BINARY)[1]
 
     def ghosts(self, image: Image, mask: Mask) -> frozenset[int]:
         """Tracks whose regions hold no object, but the hole that one left in the background."""

@@ -94,12 +94,21 @@ def update(means: Array, covariances: Array, measured: Array, r: Array) -> tuple
     return updated, (rest + rest.transpose(0, 2, 1)) / 2
 
 
-def distances(means: Array, covariances: Array, measured: Array, noise: Noise) -> Array:
-    """Squared Mahalanobis distances of positions `(n, m)`, between n predictions and m measurements."""
-    ones = np.ones((len(means), MEASURED))
-    s = (covariances[:, :MEASURED, :MEASURED] + measurement_noise(means, noise, ones))[:, :2, :2]
+def distances(means: Array, covariances: Array, measured: Array, noise: Noise, doubts: Array | None = None) -> Array:
+    """Squared Mahalanobis distances of positions `(n, m)`, between n predictions and m measurements.
+
+    Args:
+        means: Predicted states `(n, 6)`.
+        covariances: Their covariances `(n, 6, 6)`.
+        measured: `x y w h`, `(m, 4)` px.
+        noise: The noise.
+        doubts: Factor on each measurement's deviations, `(m,)`; 1 by default.
+    """
+    factors = np.ones(len(measured)) if doubts is None else doubts
+    r = (scale_of(means)[:, None] * noise.position * factors[None, :]) ** 2
+    s = covariances[:, None, :2, :2] + r[:, :, None, None] * np.eye(2)
     offset = measured[None, :, :2] - means[:, None, :2]
-    return np.asarray(np.einsum("nmi,nij,nmj->nm", offset, np.linalg.inv(s), offset))
+    return np.asarray(np.einsum("nmi,nmij,nmj->nm", offset, np.linalg.inv(s), offset))
 
 
 def _diagonal(variances: Array) -> Array:

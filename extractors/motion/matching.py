@@ -1,10 +1,11 @@
 """Which detection belongs to which track, where a detection is one object.
 
 Pure functions of arrays. The rounds, each an assignment of least total cost: known tracks take sure
-detections where they are expected; what they left goes to known tracks that lie near where they were last
-seen, then to those that look alike and can have come there; doubtful detections go to known tracks only;
-tracks not yet confirmed take sure detections last. What is sure and untaken begins a track, unless a track
-has that place.
+detections where they are expected, then tracks that are not yet confirmed do, on equal terms with those that
+the picture's edge cuts: who enters where another leaves is told apart by what fits, and not by age. What they left
+goes to known tracks that lie near where they were last seen, then to those that look alike and can have come
+there, unless they were at the edge, where who is not seen has left. Doubtful detections go to known tracks only.
+What is sure and untaken begins a track, unless a track has that place.
 
 Sources: two rounds by score: Y. Zhang et al., "ByteTrack: Multi-Object Tracking by Associating Every
 Detection Box", ECCV 2022, algorithm 1. The look back at where a track was last seen: J. Cao et al.,
@@ -27,6 +28,7 @@ def matched(
     expected_xyxy: BoxesXyxy,
     last_xyxy: BoxesXyxy,
     is_confirmed: npt.NDArray[np.bool_],
+    is_at_edge: npt.NDArray[np.bool_],
     found: Detections,
     position_costs: npt.NDArray[np.float64],
     away: npt.NDArray[np.float64],
@@ -39,6 +41,7 @@ def matched(
         expected_xyxy: Where the tracks are expected, `(n, 4)` px.
         last_xyxy: Where they were last seen, `(n, 4)` px.
         is_confirmed: Which tracks are confirmed, `(n,)`.
+        is_at_edge: Which the picture's edge cut when they were last clearly seen: they may have left, `(n,)`.
         found: The detections.
         position_costs: Squared Mahalanobis distances between tracks and detections, `(n, m)`.
         away: How far detections are from where tracks were last seen, in what objects can move since, `(n, m)`.
@@ -50,11 +53,14 @@ def matched(
     is_near = position_costs <= config.gate
     costs = 1 - here + POSITION_COST * np.minimum(position_costs / config.gate, 1) + config.appearance_cost * unlike
     is_sure = found.scores >= config.score_sure
+    is_expected = is_near & (here >= config.overlap_min)
+    is_settled = is_confirmed & ~is_at_edge
     rounds = (
-        (costs, is_near & (here >= config.overlap_min), is_confirmed, is_sure),
-        (costs, here >= config.overlap_min, is_confirmed, is_sure),
-        (1 - before + config.appearance_cost * unlike, before >= config.overlap_min, is_confirmed, is_sure),
-        (away + config.appearance_cost * unlike, (away <= 1) & (unlike <= config.unlike_max), is_confirmed, is_sure),
+        (costs, is_expected, is_settled, is_sure),
+        (costs, is_expected, ~is_settled, is_sure),
+        (costs, here >= config.overlap_min, is_settled, is_sure),
+        (1 - before + config.appearance_cost * unlike, before >= config.overlap_min, is_settled, is_sure),
+        (away + config.appearance_cost * unlike, (away <= 1) & (unlike <= config.unlike_max), is_settled, is_sure),
         (costs, here >= config.overlap_doubtful_min, is_confirmed, ~is_sure & (found.scores >= config.score_min)),
         (costs, is_near | (here >= config.overlap_min), ~is_confirmed, is_sure),
     )

@@ -71,6 +71,8 @@ class Track:
     """how it looks, the mean over its clear views; NaN before the first"""
     views: int = 0
     """number of these views"""
+    is_at_edge: bool = False
+    """whether the picture's edge cut it when it was last clearly seen"""
     end_reason: EndReason | None = None
 
     def __post_init__(self) -> None:
@@ -199,8 +201,9 @@ class Tracks:
         return ended
 
     def _matched(self, found: Detections, time_us: int) -> Decision:
-        costs = kalman.distances(self._means, self._covariances, xywh(found.boxes_xyxy), self._noise)
+        costs = kalman.distances(self._means, self._covariances, xywh(found.boxes_xyxy), self._noise, found.doubts)
         is_confirmed = np.array([track.stage is not Stage.TENTATIVE for track in self._alive], bool)
+        is_at_edge = np.array([track.is_at_edge for track in self._alive], bool)
         last_xywh = np.array([track.seen_xywh for track in self._alive]).reshape(-1, 4)
         missed_s = np.array([(time_us - track.last_seen_us) / 1e6 for track in self._alive])
         reach = (self._config.reach_size + self._config.reach_speed * missed_s) * kalman.scale_of(last_xywh)
@@ -209,7 +212,9 @@ class Tracks:
         looks = np.array([track.looks for track in self._alive]).reshape(-1, LOOKS)
         unlike = unlikeness(looks, found.looks)
         expected_xyxy = xyxy(self._means[:, :4])
-        return matched(expected_xyxy, xyxy(last_xywh), is_confirmed, found, costs, away, unlike, self._config)
+        return matched(
+            expected_xyxy, xyxy(last_xywh), is_confirmed, is_at_edge, found, costs, away, unlike, self._config
+        )
 
     def _decided(self, blobs: BoxesXyxy | None) -> Decision:
         blobs_xyxy = np.zeros((0, 4)) if blobs is None else blobs
@@ -234,7 +239,10 @@ class Tracks:
             self._means[seen], self._covariances[seen], xywh(measured), r
         )
         self._remember(seen, xywh(measured), time_us)
-        is_clear = ~shared & ~self._is_cut(measured)
+        is_cut = self._is_cut(measured)
+        for row, is_at_edge in zip(seen[~shared], is_cut[~shared].tolist(), strict=True):
+            self._alive[row].is_at_edge = is_at_edge
+        is_clear = ~shared & ~is_cut
         self._clear = [self._alive[row] for row in seen[is_clear]]
         self._learn()
         confidence = np.zeros(len(self._alive))

@@ -92,6 +92,22 @@ def test_what_the_edge_cuts_keeps_its_box() -> None:
     assert box[2] < people[0, 2] + 3
 
 
+def test_who_leaves_at_the_edge_is_no_part_of_who_stands_near() -> None:
+    people = figure_boxes((200, 402), (248, 350))
+    mask = drawn(people)
+    assert len(boxes(mask, MotionConfig())) == 2
+    found = found_in(mask)
+    assert_are(found, np.minimum(people, 360), 0.7)
+    assert found.doubts.tolist() == [1, 1]
+
+
+def test_two_who_are_cut_by_the_side_are_told_apart() -> None:
+    people = figure_boxes((3, 190), (5, 250))
+    mask = drawn(people)
+    assert len(boxes(mask, MotionConfig())) == 1
+    assert_are(found_in(mask), people, 0.5)
+
+
 def test_where_sizes_are_not_known_it_abstains() -> None:
     people = figure_boxes((200, 250))
     unknown = LearntSizes(np.array([0.25, 0.0, 5.0]), np.eye(3) * 1e6, aspect=0.4, spread=0.05, deviation_max=0.25)

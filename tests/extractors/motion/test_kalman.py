@@ -92,6 +92,12 @@ def test_distance_is_mahalanobis_of_the_position() -> None:
     np.testing.assert_allclose(found, [[25 / variance], [(47**2 + 16) / variance]])
 
 
+def test_what_is_doubted_is_nearer() -> None:
+    means, covariances = kalman.born(boxes((0, 0, 10, 10)), QUIET)
+    found = kalman.distances(means, covariances, boxes((3, 4, 10, 10), (3, 4, 10, 10)), QUIET, np.array([1.0, 2.0]))
+    np.testing.assert_allclose(found, [[25 / (1 + 1), 25 / (1 + 2**2)]])
+
+
 def test_no_boxes_are_no_trouble() -> None:
     means, covariances = kalman.born(np.zeros((0, 4)), NOISE)
     means, covariances = kalman.predict(means, covariances, 0.1, NOISE)

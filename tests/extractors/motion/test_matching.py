@@ -16,7 +16,8 @@ def decide(
     *,
     last: list[np.ndarray] | None = None,
     confirmed: list[bool] | None = None,
-    distances: float = 0.0,
+    at_edge: list[bool] | None = None,
+    distances: float | np.ndarray = 0.0,
     away: float = 9.0,
     unlike: np.ndarray | None = None,
 ) -> Decision:
@@ -26,6 +27,7 @@ def decide(
         expected,
         expected if last is None else np.array(last),
         np.array([True] * len(tracks) if confirmed is None else confirmed, bool),
+        np.array([False] * len(tracks) if at_edge is None else at_edge, bool),
         Detections.clear(boxes, np.array(scores)),
         np.full(shape, distances),
         np.full(shape, away),
@@ -73,6 +75,34 @@ def test_looks_decide_between_two_who_meet() -> None:
     looks = np.array([[0.7, 0.1], [0.1, 0.7]])
     decision = decide([LEFT, LEFT + 1], [LEFT, LEFT + 1], [0.9, 0.9], unlike=looks)
     np.testing.assert_array_equal(decision.measured_xyxy, [LEFT + 1, LEFT])
+
+
+def test_a_track_that_the_edge_cut_leaves_a_newcomer_to_the_track_that_fits_it() -> None:
+    def taker(*, at_edge: bool) -> int:
+        distances = np.array([[9.0], [0.1]])
+        decision = decide(
+            [LEFT, LEFT + 6],
+            [LEFT + 6],
+            [0.9],
+            confirmed=[True, False],
+            at_edge=[at_edge, True],
+            distances=distances,
+        )
+        return int(np.flatnonzero(~np.isnan(decision.measured_xyxy[:, 0]))[0])
+
+    assert taker(at_edge=False) == 0  # inside the picture what is known claims first
+    assert taker(at_edge=True) == 1
+
+
+def test_a_track_that_the_edge_cut_takes_nothing_beyond_its_gate() -> None:
+    alike, beyond = np.array([[0.1]]), CONFIG.gate + 1
+
+    def is_taken(*, at_edge: bool) -> bool:
+        decision = decide([LEFT], [LEFT + 2], [0.9], at_edge=[at_edge], distances=beyond, away=0.5, unlike=alike)
+        return not np.isnan(decision.measured_xyxy).any()
+
+    assert is_taken(at_edge=False)
+    assert not is_taken(at_edge=True)
 
 
 def test_nothing_meets_nothing() -> None:

@@ -249,8 +249,7 @@ def test_the_square_shows_its_horizon_its_camera_and_speeds(
     assert found.calibration is not None
     assert found.calibration.height_m == pytest.approx(SQUARE.camera.height_m, rel=0.15)
     runners = [actor for actor in SQUARE.actors if actor.waypoints[0][0] > SQUARE.actors[-3].waypoints[0][0]]
-    # Who runs is found; of those who walk at most one track that jumped from one person to another.
-    assert 1 <= len(summary.in_metres) <= len(runners) + 1
+    assert 1 <= len(summary.in_metres) <= len(runners) == 2
     assert all(re.fullmatch(r"track \d+ on square went \d+ km/h at .*", title) for title in summary.in_metres)
 
 
