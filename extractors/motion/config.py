@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 NAME = "motion"
 """name of this extractor in the log"""
-VERSION = "2"
+VERSION = "3"
 """version of its method; a change that says other things for the same frames raises it"""
 
 Share = Annotated[float, Field(ge=0, le=1)]
