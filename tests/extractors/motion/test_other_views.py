@@ -112,3 +112,25 @@ def test_a_view_that_comes_back_in_another_light_or_with_a_van_before_it_is_the_
         return image if at < 60 else change(image)
 
     assert causes(seen(now(at) for at in range(120))) == ["unknown"]
+
+
+ZOOMED = replace(CAMERA, focal_px=480.0)
+
+
+def test_a_view_that_is_lost_at_the_end_is_another_for_whoever_comes_next() -> None:
+    found = seen(then(pictures()[:60], pictures(ZOOMED)[:60]))
+    assert causes(found) == ["unknown", "moved"]
+    assert (
+        "end while the camera shows another view" in [gap for step in found.extractions for gap in step.gaps][-1].detail
+    )
+
+
+@pytest.mark.parametrize("last", [pictures, lambda: [dark(image, 1) for image in pictures()]], ids=["back", "dark"])
+def test_one_that_is_back_at_the_end_is_not_and_in_the_dark_nothing_is_known(last: Callable[[], list[Image]]) -> None:
+    lost = [*pictures()[:25], *pictures(ZOOMED)[25:45]]
+    assert causes(seen(iter([*lost, *last()[45:55]]))) == ["unknown"]
+
+
+def test_a_view_that_is_lost_when_pictures_come_in_another_size_is_another() -> None:
+    smaller = [np.asarray(cv2.resize(image, (256, 144)), np.uint8) for image in pictures(ZOOMED)[60:120]]
+    assert causes(seen(iter([*then(pictures()[:60], pictures(ZOOMED)[:60]), *smaller]))) == ["unknown", "moved"]
