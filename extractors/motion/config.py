@@ -156,6 +156,10 @@ class MotionConfig(BaseModel):
     """a camera that was moved rests when its picture stays for so long, s; after a rest that did not last, twice
     as long"""
 
+    view_other_s: Positive = 60.0
+    """... if it shows another view than the one that was lost, for which the reason is not known, only after so long: a
+    lorry at a red light or a bus at its stop before the lens is gone by then, and a move ends metres for good, s"""
+
     @property
     def config_hash(self) -> bytes:
         """SHA-256 of the configuration's canonical form, 32 bytes."""

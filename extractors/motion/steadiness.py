@@ -6,13 +6,14 @@ are the directions of edges, block by block, with a slowly renewed memory of the
 the blocks that have edges can say that the view is lost, for a while without a break. A picture without
 edges (night, fog) says nothing, and the view counts as kept.
 
-    kept --most blocks differ--> doubtful --still, after lost_s--> lost --no change for rest_s--> kept
+    kept --most blocks differ--> doubtful --still, after lost_s--> lost --no change for rest_s*--> kept
       ^                             |
       +-------they agree again------+
 
 What covered the view (a lorry, a hand, the dark) and what is another view cannot be told apart when it is lost. It can
 when the picture stays the same again: if it agrees with the memory of the view that was lost, nothing has changed; else
-the camera was moved. In the dark that waits for light; where nobody will look again, the last picture decides.
+the camera was moved, which takes a longer rest (*), so that a lorry may stand there for a while. In the dark that waits
+for light; where nobody will look again, the last picture decides.
 """
 
 from dataclasses import dataclass
@@ -142,8 +143,8 @@ class Steadiness:
         return View(is_kept=False, change=change)
 
     def _wait(self, now: Sight, scale: float) -> View:
-        """Wait until the picture stays the same for long enough."""
-        if not self._is_at_rest:
+        """Wait until the picture stays the same for long enough; longer if it shows another view than the lost one."""
+        if not self._is_at_rest or (self._is_other(now) and not self._has_rested_for(self._config.view_other_s)):
             return View(is_kept=False)
         self._memory, self._is_lost = now, False
         self._differs_s = self._kept_s = 0.0
@@ -158,16 +159,27 @@ class Steadiness:
         before = self._before
         if before is None or _is_dim(before, now):
             return None
+        is_other = self._is_other(now)
         self._before = self._rest = None
-        if is_same_view(before, now, is_faint=_is_faint(before, now)):
+        if not is_other:
             return None
         shift = _shift(before, now)
         share = share_different(*compared(before.gradients, now.gradients))
         return Change("moved", share, None if shift is None else (shift[0] * scale, shift[1] * scale))
 
+    def _is_other(self, now: Sight) -> bool:
+        """Whether this is certainly another view than the one that was lost."""
+        before = self._before
+        if before is None or _is_dim(before, now):
+            return False
+        return not is_same_view(before, now, is_faint=_is_faint(before, now))
+
     @property
     def _is_at_rest(self) -> bool:
-        return self._rest is not None and self._rest.lasted_s >= self._rest_needed_s
+        return self._has_rested_for(self._rest_needed_s)
+
+    def _has_rested_for(self, seconds: float) -> bool:
+        return self._rest is not None and self._rest.lasted_s >= seconds
 
 
 class _Rest:

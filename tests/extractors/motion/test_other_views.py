@@ -12,6 +12,8 @@ from events import SceneChanged, events_of
 from extractors import scene
 from extractors.calibration import Camera
 from extractors.media import Frame, GapReason, Image
+from extractors.motion import MotionConfig
+from extractors.motion.steadiness import Steadiness
 from tests.extractors.motion.runs import Run, run
 from tests.extractors.motion.views import view
 
@@ -32,8 +34,12 @@ def pictures(camera: Camera = CAMERA) -> list[Image]:
     return list(scene.render(watched(WALK, camera=camera)))
 
 
-def seen(images: Iterator[Image]) -> Run:
-    return run(Frame(i, 100_000 * i, image) for i, image in enumerate(images))
+SOON = MotionConfig(view_other_s=3.0)
+"""Who takes what rests for another view soon; clips are short."""
+
+
+def seen(images: Iterator[Image], config: MotionConfig = SOON) -> Run:
+    return run((Frame(i, 100_000 * i, image) for i, image in enumerate(images)), config)
 
 
 def causes(found: Run) -> list[str]:
@@ -65,6 +71,16 @@ def test_a_lorry_that_passes_before_the_lens_moves_no_camera() -> None:
     found = seen(scene.render(watched(WALK, LORRY)))
     assert causes(found) in (["unknown"], ["covered"]), "the view was lost"
     assert [gap.reason for step in found.extractions for gap in step.gaps][-1] is GapReason.CAMERA_RESTS
+
+
+@pytest.mark.parametrize("stands_s, found", [(20, ["unknown"]), (70, ["unknown", "moved", "unknown", "moved"])])
+def test_a_lorry_that_stands_before_the_lens_is_waited_for_a_minute(stands_s: int, found: list[str]) -> None:
+    street, lorry = view(300), view(1200)
+    steadiness = Steadiness(MotionConfig())
+    pictures = [street] * 10 + [lorry] * 2 * stands_s + [street] * 160
+    looked = [steadiness.look(picture, 0.5) for picture in pictures]
+    assert [each.change.cause for each in looked if each.change] == found
+    assert looked[-1].is_kept
 
 
 def dark(image: Image, seed: int) -> Image:

@@ -17,9 +17,11 @@ FPS = 10
 START = datetime(2026, 1, 1, tzinfo=UTC)
 
 
-def changes(pictures: Iterable[Image]) -> tuple[list[tuple[float, Change]], list[float]]:
+def changes(
+    pictures: Iterable[Image], config: MotionConfig | None = None
+) -> tuple[list[tuple[float, Change]], list[float]]:
     """When the view was lost and how, and when the camera rested again, s."""
-    steadiness = Steadiness(MotionConfig())
+    steadiness = Steadiness(config or MotionConfig())
     lost, rested = [], []
     for at, image in enumerate(pictures):
         seen = steadiness.look(image, 1 / FPS if at else 0.0)
@@ -95,7 +97,7 @@ def test_a_camera_that_is_turned_to_a_view_of_less_contrast_is_found_out(contras
     def turned(at: int) -> Image:
         return view(300, seed=at) if at < 30 else faint(view(1200, 300, seed=at, noise=0), contrast, light)
 
-    lost, (rested_s, *_) = changes(turned(at) for at in range(120))
+    lost, (rested_s, *_) = changes((turned(at) for at in range(120)), MotionConfig(view_other_s=5))
     assert [change.cause for _, change in lost][-1] == "moved"
     assert lost[-1][0] <= rested_s + 0.5
 
