@@ -135,10 +135,11 @@ class Horizon:
 
     def _collect(self, time_us: int, frame: TrackPoints) -> None:
         whole = is_whole(frame.boxes_xyxy, frame.confidence, self._size, self._config)
-        for number, (x1, y1, x2, y2) in zip(frame.track_id[whole], frame.boxes_xyxy[whole], strict=True):
+        columns = (frame.track_id, frame.boxes_xyxy, frame.confidence)
+        for number, (x1, y1, x2, y2), sure in zip(*(column[whole] for column in columns), strict=True):
             path = self._open.setdefault(int(number), Path(time_us))
             path.last_us = time_us
-            path.add(time_us / 1e6, (x1 + x2) / 2, y2, x2 - x1, y2 - y1, self._config)
+            path.add((time_us / 1e6, (x1 + x2) / 2, y2, x2 - x1, y2 - y1, sure), self._config)
             self._is_changed = True
 
     def _close_gone(self, time_us: int) -> None:
@@ -200,7 +201,11 @@ class Horizon:
         if votes < config.tracks_min:
             self.reason = f"a horizon takes {config.tracks_min} tracks that come or go, got {votes}"
             return None
-        fit = fitted(places_of(paths, self._size, config), self._size, config, STARTS)
+        places = places_of(paths, self._size, config)
+        if (clear := places.clear().tracks) < config.tracks_min:
+            self.reason = f"a horizon takes {config.tracks_min} tracks that are seen by themselves, got {clear}"
+            return None
+        fit = fitted(places, self._size, config, STARTS)
         if not fit.noise <= config.noise_max:
             self.reason = (
                 f"the boxes' edges are off by {fit.noise:.0%} of their heights, wanted {config.noise_max:.0%}: "
