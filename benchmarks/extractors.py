@@ -56,7 +56,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--results", type=Path, default=RESULTS)
     options = parser.parse_args(arguments)
     cv2.setNumThreads(options.threads)
-    rounds, frames_max = (1, 100) if options.quick else (ROUNDS, 400)
+    rounds, frames_max = (1, 100) if options.quick else (ROUNDS, 800)
     found: list[Row | Figure] = []
     with tempfile.TemporaryDirectory() as folder:
         for video in options.videos or [_street(Path(folder))]:

@@ -50,7 +50,10 @@ class HorizonConfig(BaseModel):
     """a track not seen for longer gets its vote, s"""
 
     update_s: Positive = 5.0
-    """media time between two estimates, s"""
+    """media time between two estimates, s ..."""
+    fresh_share: Share = 0.23
+    """... and points that are new since the one before, of those that it rested on: by fewer it cannot firm up to 0.9
+    of its deviation, 1 / sqrt(1.23)"""
     tracks_min: Count = 4
     """votes from which the horizon is estimated; fewer cannot contradict a false one"""
     deviation_share_max: Positive = 0.2

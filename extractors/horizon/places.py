@@ -83,10 +83,13 @@ class Path:
     """`time (s), x, y, width, height (px), confidence` of the points of the place that is open"""
     stride: float = 1.0
     """length of a place, in units of the configured one"""
+    points: int = 0
+    """how many were taken in"""
 
     def add(self, point: Row, config: HorizonConfig) -> None:
         """Take in one box: `time (s), x, y, width, height (px), confidence`."""
         _, x, y, *_ = point
+        self.points += 1
         if self.here:
             _, x0, y0, _, height0, _ = self.here[0]
             if (x - x0) ** 2 + (y - y0) ** 2 > (config.stride * self.stride * height0) ** 2:

@@ -2,7 +2,7 @@
 
 import csv
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Literal
@@ -12,7 +12,7 @@ import pytest
 
 from events import HorizonEstimate, HorizonVote, SceneChanged, batch_of, events_of
 from extractors.calibration import Camera as Pinhole
-from extractors.horizon import FrameSize, Horizon, HorizonConfig, Line, TrackPoints, estimated
+from extractors.horizon import Estimate, FrameSize, Horizon, HorizonConfig, Line, TrackPoints, estimated
 from extractors.scene import square, write
 from extractors.video import frames
 from tests.extractors.horizon.larger import error_of, scenes, score
@@ -167,6 +167,26 @@ def test_a_blob_s_height_that_is_off_more_afar_is_told() -> None:
         off = found.fit.camera[2] - np.log(700)
         covered += bool(abs(off) < 1.96 * np.sqrt(found.fit.covariance[2, 2]))
     assert covered >= 7
+
+
+def test_an_estimate_waits_until_enough_is_new_and_the_last_one_has_all() -> None:
+    points = walked(view(20, 3)).points
+    looks: list[int] = []
+    lasts = []
+    for share in (0.0, CONFIG.fresh_share):
+        horizon = Horizon(SIZE, CONFIG.model_copy(update={"update_s": 1.0, "fresh_share": share}))
+        times: list[int] = []
+        horizon.on_estimate = _noting(times)
+        horizon.add(points)
+        horizon.finish()
+        looks.append(len(times))
+        lasts.append(said(horizon)[1][-1])
+    assert 3 < looks[1] < looks[0] / 2
+    assert lasts[0] == lasts[1]
+
+
+def _noting(times: list[int]) -> Callable[[int, Estimate, bool], None]:
+    return lambda time_us, found, is_last: times.append(time_us)
 
 
 def test_points_in_any_split_say_the_same() -> None:
