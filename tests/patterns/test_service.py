@@ -26,8 +26,9 @@ from patterns.processor import (
     stored_mark,
     stored_state,
 )
+from patterns.processor.cameras import known_at
 from patterns.processor.members import Pace
-from patterns.processor.passes import UNCALIBRATED, after_moves_of, site_at
+from patterns.processor.passes import UNCALIBRATED
 from store import Checkpoint, Log, LogUnavailable, Transaction
 from tests.conftest import MakeLog
 from tests.events.examples import camera_calibrated
@@ -550,9 +551,9 @@ def test_a_calibration_that_was_found_while_footage_came_does_not_hold_before_it
     ]:
         say(log, source, video)
         say(log, source, event)
-    before = {stream.split("/")[1] for event, stream, _ in site_at(log, 0) if not isinstance(event, VideoAdded)}
+    before = {each.source for each in known_at(log, 0).said if not isinstance(each.event, VideoAdded)}
     assert before == {"afterwards", "by-hand"}
-    behind = [stream.split("/")[1] for _, stream, _ in site_at(log, log.head()) if "video" not in stream]
+    behind = [each.source for each in known_at(log, log.head()).said if not isinstance(each.event, VideoAdded)]
     assert behind == ["online", "afterwards", "by-hand", "moved", "moved"]
 
 
@@ -566,11 +567,11 @@ def test_a_calibration_by_hand_holds_for_the_footage_since_the_camera_was_moved_
     at_move = log.head()
     for event in (of_tracks, second, second):
         say(log, "gate", event)
-    assert [event for event, _, _ in site_at(log, 0)][1:] == [first]
-    assert [event for event, _, _ in site_at(log, at_move)][1:] == [of_tracks, first, moved, second]
-    assert after_moves_of(log) == {
-        (f"{STATION}/gate/scene_changed", 1): (second, f"{STATION}/gate/camera_calibrated", 4)
-    }
+    assert [each.event for each in known_at(log, 0).said][1:] == [first]
+    assert [each.event for each in known_at(log, at_move).said][1:] == [of_tracks, first, moved, second]
+    told = {moment: (word.event, word.sequence) for moment, word in known_at(log, 0).words.items()}
+    assert told == {(f"{STATION}/gate/scene_changed", 1, 1): (second, 4)}
+    assert known_at(log, 0, at_move).words == known_at(log, at_move).words == {}
 
 
 def _breaks_for(name: str, original: Any) -> Any:
