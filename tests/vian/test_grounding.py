@@ -269,6 +269,16 @@ def test_a_calibration_by_hand_is_of_its_video_or_of_now_where_nothing_has_passe
     assert [row["time"] for row in found] == [at(3600), at(5), at(7)]
 
 
+def test_a_point_that_is_final_only_after_a_move_has_no_metres_of_the_next_view(log: Log) -> None:
+    say(log, "gate", video(0, (100, 80)))
+    for second in (0, 1, 2):
+        say(log, "gate", point(second, 50, 70))
+    say(log, "gate", change(3))
+    pass_by(log, 4, 5)
+    calibrate_by_hand(log)
+    assert times(log) == ("...55", "...55")
+
+
 NARROW, WIDE = (Camera(focal, 0.6, 0.0, 5.0, 100, 80) for focal in (90.0, 45.0))
 
 
