@@ -614,11 +614,11 @@ def test_a_rule_over_the_past_that_is_killed_goes_on_with_what_was_known_when_it
 ) -> None:
     add_video(log, "gate")
     for second in (0, 2, 4):
-        say(log, "gate", point(1, second, 7))
+        say(log, "gate", point(1, second, 7), point(1, second + 0.5, 1))
         if second < 4:
             say(log, "gate", moved_at(second + 1))
     say(log, "gate", camera_calibrated(time=T0 + timedelta(seconds=4)))
-    deployed(log, in_metres("A", "A AS ground_x(x, y) > -1"), after=0)
+    deployed(log, in_metres("A", "A AS x = 7 AND ground_x(x, y) > -1"), after=0)
     say(log, "gate", camera_calibrated(time=T0 + timedelta(seconds=2)))  # nobody knew it when the rule began
     processor = Processor(log, STATION, limits=saved_often(segments=1))
     for step in range(6):
