@@ -7,13 +7,15 @@ Medians of five rounds in which the candidates take turns, one thread each:
 - decode: frames per second out of `extractors.video` (PyAV in a process of its own), beside PyAV in this
   process and OpenCV's reader, which is not safe (docs/decisions/0006-video-decoding.md);
 - motion: the motion extractor from decoded frames to batches of events, beside OpenCV's MOG2 alone;
-- whole: from a file of these frames to encoded segments, decoding included, all on one processor, beside the same;
-- horizon: an update of the estimate when 200 people of a rendered square have passed.
+- whole: from a file of these frames to stored segments, as `vian extract motion` does it: decoding, tracks, horizon,
+  calibration and a PostgreSQL of its own, all on one processor, beside the same;
+- horizon: an update of the estimate when 200 people of a rendered square have passed, by the parameters of blobs.
 
 Without a video it renders the synthetic street.
 """
 
 import argparse
+import itertools
 import os
 import statistics
 import tempfile
@@ -28,12 +30,13 @@ import cv2
 import numpy as np
 
 from benchmarks.measuring import Figure, Row, compared, keep, rate
-from events.segment import encode_payload
 from extractors import scene
 from extractors.horizon import FrameSize, Horizon, HorizonConfig, TrackPoints
 from extractors.media import Frame
 from extractors.motion import MotionConfig, extract
 from extractors.video import frames
+from store import Log, open_log
+from vian.extraction import Job, extract_motion, media_clock
 
 ROUNDS = 5
 START = datetime(2026, 1, 1, tzinfo=UTC)
@@ -53,7 +56,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--results", type=Path, default=RESULTS)
     options = parser.parse_args(arguments)
     cv2.setNumThreads(options.threads)
-    rounds, frames_max = (1, 100) if options.quick else (ROUNDS, 400)
+    rounds, frames_max = (1, 100) if options.quick else (ROUNDS, 800)
     found: list[Row | Figure] = []
     with tempfile.TemporaryDirectory() as folder:
         for video in options.videos or [_street(Path(folder))]:
@@ -74,9 +77,14 @@ def _measured(video: Path, rounds: int, frames_max: int, lines: int | None, fold
     yield _row(f"decode {video.name} by OpenCV", rounds, lambda: _decoded_by_opencv(video), in_process)
     yield _row(f"motion, {width}x{height}", rounds, lambda: _extracted(pictures), mog2)
     film = _film(pictures, folder / "film.mkv")
-    with _one_processor():
+    with _one_processor(), open_log(data_dir=folder / "log") as log:
+        sources = (f"film-{number}" for number in itertools.count())
         whole = _row(
-            f"file to segments, {width}x{height}, one processor", rounds, lambda: _to_segments(film), mog2, target=0.5
+            f"file to stored segments, {width}x{height}, one processor",
+            rounds,
+            lambda: _stored(film, log, next(sources)),
+            mog2,
+            target=0.5,
         )
     yield whole
     yield Figure(f"{whole.what}, by the clock", "frames/s", whole.ours, 50)
@@ -105,7 +113,7 @@ def _of_the_horizon(rounds: int) -> Figure:
         np.array([(box.x1, box.y1, box.x2, box.y2) for box in boxes]),
         np.ones(len(boxes)),
     )
-    horizon = Horizon(FrameSize(square.width, square.height), HorizonConfig())
+    horizon = Horizon(FrameSize(square.width, square.height), HorizonConfig.of_blobs())
     horizon.add(points)
     seconds = [1 / rate(1, horizon.estimate) for _ in range(rounds)]
     tracks = len(np.unique(points.track_id))
@@ -131,12 +139,9 @@ def _extracted(pictures: list[Frame]) -> int:
     return last.frames
 
 
-def _to_segments(film: Path) -> int:
-    """From the file to the bytes that the log stores."""
-    for step in extract(frames(film), MotionConfig(), start_time=START):
-        for batch in step.batches:
-            encode_payload(batch)
-    return step.frames
+def _stored(film: Path, log: Log, source: str) -> int:
+    """From the file to what the log holds, all of `vian extract motion`."""
+    return extract_motion(Job(log, "benchmark", source, film, START, stamp=media_clock)).frames
 
 
 def _film(pictures: Sequence[Frame], path: Path) -> Path:

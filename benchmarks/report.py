@@ -239,8 +239,8 @@ def of_extractors(said: dict[str, Any]) -> Iterator[str]:
     """The section on how fast extraction is."""
     yield (
         f"## Extraction\n\n`python -m benchmarks.extractors --lines 576 VIDEO`, {_when(said)}, on the PETS clip, one "
-        "thread. Motion is from decoded frames to batches of events; from file to segments decoding is included, and "
-        "all of it, the decoding process too, has one processor.\n"
+        "thread. Motion is from decoded frames to batches of events; from file to stored segments is all that "
+        "`vian extract motion` does: the decoding process, horizon, calibration and PostgreSQL share one processor.\n"
     )
     yield "| what | ours | reference | ratio | target |\n|---|---:|---:|---:|---|"
     for row in said["rows"]:

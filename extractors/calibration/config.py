@@ -14,7 +14,7 @@ from extractors.horizon import HorizonConfig
 
 NAME = "calibration"
 """name of this extractor in the log"""
-VERSION = "1"
+VERSION = "2"
 """version of its method; a change that says other things for the same tracks raises it"""
 
 Share = Annotated[float, Field(ge=0, le=1)]

@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 NAME = "horizon"
 """name of this extractor in the log"""
-VERSION = "1"
+VERSION = "2"
 """version of its method; a change that says other things for the same points raises it"""
 
 Share = Annotated[float, Field(ge=0, le=1)]
@@ -27,6 +27,8 @@ class HorizonConfig(BaseModel):
 
     confidence_min: Share = 0.5
     """boxes with less are predicted rather than seen, and say nothing of an object's size"""
+    clear_confidence: Share = 0.0
+    """boxes with less were sized as expected rather than measured: an estimate heeds them, but is no surer by them"""
     border_share: Share = 0.008
     """a box whose edge lies this near to the frame's is cut by it and left out, of the frame's height"""
     height_share_min: Share = 0.02
@@ -48,7 +50,10 @@ class HorizonConfig(BaseModel):
     """a track not seen for longer gets its vote, s"""
 
     update_s: Positive = 5.0
-    """media time between two estimates, s"""
+    """media time between two estimates, s ..."""
+    fresh_share: Share = 0.23
+    """... and points that are new since the one before, of those that it rested on: by fewer it cannot firm up to 0.9
+    of its deviation, 1 / sqrt(1.23)"""
     tracks_min: Count = 4
     """votes from which the horizon is estimated; fewer cannot contradict a false one"""
     deviation_share_max: Positive = 0.2
@@ -151,10 +156,10 @@ class HorizonConfig(BaseModel):
 
         They are outlines of what differs from the background: gaps of 0.02 of the frame's height are closed, a
         shadow may be left on, and far feet, which are a pixel or two, go unseen. They are of bodies, not computed.
-        Where several share a blob (confidence 0.5) a box is as high as motion expects: it is not measured. Heights
+        Where several share a blob (confidence 0.5) a box is as high as motion expects. Heights
         that are 3 % short where people are 45 px high and 1 % long where they are 70 are usual (0038).
         """
-        return cls(confidence_min=0.75, bias_lines=0.012, height_trend=0.04, depth=0.18, depth_spread=0.04)
+        return cls(clear_confidence=0.75, bias_lines=0.012, height_trend=0.04, depth=0.18, depth_spread=0.04)
 
     @property
     def config_hash(self) -> bytes:

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy.sparse import csr_array
 
 from extractors.horizon.camera import Floats
 
@@ -80,11 +81,17 @@ class Evidence(ABC):
         self._track, self._tracks, self._weight = track, tracks, weight
         self._tail, self._noise_floor = tail, noise_floor
         self._own_spread, self._own_tail, self._trends = own_spread, own_tail, trends
+        self._members = csr_array((np.ones(len(track)), (track, np.arange(len(track)))), shape=(tracks, len(track)))
         self.counts = np.bincount(track, minlength=tracks)
 
     @abstractmethod
     def misfits(self, camera: Floats, own: Floats) -> Floats:
-        """How far each observation is off, `(n,)`; smooth in the camera and in its track's unknown."""
+        """How far each observation is off, `(..., n)`; smooth in the camera and in its track's unknown.
+
+        Args:
+            camera: Its numbers, `(c,)`, or those of many cameras, `(c, ..., 1)`.
+            own: The unknown of each track, `(tracks,)`.
+        """
 
     def trends(self, camera: Floats) -> Floats:
         """One standard deviation of what all misfits may have in common, each trend by itself, `(n, trends)`."""
@@ -101,7 +108,7 @@ class Evidence(ABC):
     def track_costs(self, belief: Belief, misfits: Floats) -> Floats:
         """Mean cost of each track's misfits, `(tracks,)`; about 2 where they fit."""
         costs = (self._tail + 1) * np.log1p((misfits / belief.noise) ** 2 / self._tail)
-        return np.bincount(self._track, costs, self._tracks) / np.maximum(self.counts, 1)
+        return self._sums(costs) / np.maximum(self.counts, 1)
 
     def own_costs(self, belief: Belief) -> Floats:
         """Cost of each track's own unknown, `(tracks,)`."""
@@ -124,20 +131,20 @@ class Evidence(ABC):
         weights = self._weight * track_weights[self._track] * self._robust_weights(belief, misfits)
         own_weights = self.own_weights(belief) * (self._own_tail + 1) / self._own_tail / self._own_spread**2
         own_gradient = self._sums(weights * by_own * misfits) - own_weights * belief.own
-        gradients = self._sums_of((weights * misfits)[:, None] * jacobian)
+        gradients = self._sums((weights * misfits)[:, None] * jacobian)
         if is_last:
             weights = weights * _curvature(weights, misfits / belief.noise, self._tail)
             own_weights = own_weights * _curvature(own_weights, belief.own / self._own_spread, self._own_tail)
         own_hessian = self._sums(weights * by_own**2) + own_weights
-        coupling = self._sums_of((weights * by_own)[:, None] * jacobian)
+        coupling = self._sums((weights * by_own)[:, None] * jacobian)
         scores = gradients - coupling * (own_gradient / own_hessian)[:, None]
         size = len(camera)
         products = (weights[:, None, None] * jacobian[:, :, None] * jacobian[:, None, :]).reshape(-1, size * size)
-        hessians = self._sums_of(products).reshape(-1, size, size)
+        hessians = self._sums(products).reshape(-1, size, size)
         hessians -= coupling[:, :, None] * coupling[:, None, :] / own_hessian[:, None, None]
         common = self.trends(camera)
         trends = (weights[:, None] * common).T @ jacobian
-        trends -= (self._sums_of((weights * by_own)[:, None] * common) / own_hessian[:, None]).T @ coupling
+        trends -= (self._sums((weights * by_own)[:, None] * common) / own_hessian[:, None]).T @ coupling
         return Part(scores, hessians, trends, coupling, own_hessian, own_gradient)
 
     def _robust_weights(self, belief: Belief, misfits: Floats) -> Floats:
@@ -146,16 +153,12 @@ class Evidence(ABC):
 
     def _jacobian(self, camera: Floats, own: Floats, misfits: Floats) -> Floats:
         """Derivatives of the misfits by the camera, negative, `(n, c)`."""
-        columns = [
-            (misfits - self.misfits(camera + DIFFERENCE * axis, own)) / DIFFERENCE for axis in np.eye(len(camera))
-        ]
-        return np.stack(columns, axis=1)
+        moved = camera[:, None] + DIFFERENCE * np.eye(len(camera))
+        return np.asarray((misfits - self.misfits(moved[:, :, None], own)).T / DIFFERENCE)
 
     def _sums(self, values: Floats) -> Floats:
-        return np.asarray(np.bincount(self._track, values, self._tracks), np.float64)
-
-    def _sums_of(self, columns: Floats) -> Floats:
-        return np.stack([self._sums(column) for column in columns.T], axis=1)
+        """Each track's sum of its misfits' values, `(tracks,)`, or of each column of them, `(tracks, columns)`."""
+        return np.asarray(self._members @ values, np.float64)
 
 
 def _curvature(weights: Floats, ratios: Floats, tail: float) -> float:

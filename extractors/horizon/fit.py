@@ -64,6 +64,16 @@ class Fit:
         """The fit with covariances this many times as large."""
         return replace(self, covariance=self.covariance * factor, line_covariance=self.line_covariance * factor)
 
+    def as_sure_as(self, other: Self) -> Self:
+        """The fit with the covariances of another, and what lies between the two as another deviation."""
+        off = self.camera - other.camera
+        line_off = np.array([self.line.slope - other.line.slope, self.line.offset - other.line.offset])
+        return replace(
+            self,
+            covariance=other.covariance + np.outer(off, off),
+            line_covariance=other.line_covariance + np.outer(line_off, line_off),
+        )
+
     def deviation_at(self, x: float) -> float:
         """Standard deviation of the horizon's height at `x`, px."""
         at = np.array([x, 1.0])
@@ -76,11 +86,16 @@ def fitted(places: Places, size: FrameSize, config: HorizonConfig, starts: Itera
     found = [problem.descended(problem.start(tilt, roll), SEEKING_STEPS) for tilt, roll in starts]
     state = problem.descended(min(found, key=lambda state: state.cost), STEPS_MAX)
     fit = problem.judged(state)
-    halves = [
-        half.judged(half.descended(half.beginning_at(state.camera), STEPS_MAX))
-        for half in (_Problem(part, size, config) for part in places.halves())
-    ]
+    if not places.is_clear.all():
+        fit = fit.as_sure_as(_again(places.clear(), state, size, config))
+    halves = [_again(half, state, size, config) for half in places.halves()]
     return fit.widened(_contradiction(*halves)) if len(halves) == 2 else fit
+
+
+def _again(part: Places, state: "_State", size: FrameSize, config: HorizonConfig) -> Fit:
+    """The fit to a part of the places, from the camera that all of them gave."""
+    problem = _Problem(part, size, config)
+    return problem.judged(problem.descended(problem.beginning_at(state.camera), STEPS_MAX))
 
 
 def _contradiction(one: Fit, other: Fit) -> float:

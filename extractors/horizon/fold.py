@@ -1,9 +1,9 @@
 """The horizon from track points, online and over a log alike.
 
 Contract: points in order of time in, events out, the same bytes however the points are cut into batches:
-an estimate is made where media time passes a whole number of `update_s`, and at the end. Memory and the
-time of an update are bounded by configuration. Says nothing where the data do not decide: too few tracks,
-too wide an interval, a roll that is only the prior's, boxes that are no objects on a plane, a camera that moves.
+an estimate is made where media time passes a whole number of `update_s` and enough is new, and at the end.
+Memory and the time of an update are bounded by configuration. Says nothing where the data do not decide: too few
+tracks, too wide an interval, a roll that is only the prior's, boxes that are no objects on a plane, a moving camera.
 """
 
 from collections.abc import Callable
@@ -59,7 +59,7 @@ class Horizon:
         self._due_us: int | None = None
         self._last_us = 0
         self._held: TrackPoints | None = None
-        self._is_changed = False
+        self._fresh = self._used = 0
         self.on_estimate: Callable[[int, Estimate, bool], None] | None = None
         """told each estimate, also in doubt or no news: its time (µs since 1970, UTC), and whether it is the last"""
         self.reason = "no track has moved yet"
@@ -86,6 +86,7 @@ class Horizon:
     def forget(self) -> None:
         """The camera was moved: what was seen before was seen from elsewhere."""
         self._open, self._closed, self._said, self._held = {}, [], None, None
+        self._used = 0
 
     def finish(self) -> None:
         """No more points come: all tracks vote, and the last estimate is made."""
@@ -119,7 +120,8 @@ class Horizon:
         if self._due_us is None:
             self._due_us = (time_us // self._update_us + 1) * self._update_us
         if time_us >= self._due_us:
-            self._estimate()
+            if self._fresh >= self._config.fresh_share * self._used:
+                self._estimate()
             self._due_us = (time_us // self._update_us + 1) * self._update_us
         self._last_us = time_us
         if not self._is_moving:
@@ -135,11 +137,12 @@ class Horizon:
 
     def _collect(self, time_us: int, frame: TrackPoints) -> None:
         whole = is_whole(frame.boxes_xyxy, frame.confidence, self._size, self._config)
-        for number, (x1, y1, x2, y2) in zip(frame.track_id[whole], frame.boxes_xyxy[whole], strict=True):
+        columns = (frame.track_id, frame.boxes_xyxy, frame.confidence)
+        for number, (x1, y1, x2, y2), sure in zip(*(column[whole] for column in columns), strict=True):
             path = self._open.setdefault(int(number), Path(time_us))
             path.last_us = time_us
-            path.add(time_us / 1e6, (x1 + x2) / 2, y2, x2 - x1, y2 - y1, self._config)
-            self._is_changed = True
+            path.add((time_us / 1e6, (x1 + x2) / 2, y2, x2 - x1, y2 - y1, sure), self._config)
+            self._fresh += 1
 
     def _close_gone(self, time_us: int) -> None:
         gone_us = time_us - round(self._config.gone_s * 1e6)
@@ -165,8 +168,8 @@ class Horizon:
 
     def _estimate(self, *, is_last: bool = False) -> None:
         """Say what the estimate is, if it is one and has moved or firmed up; the last one in any case."""
-        found = self._found() if self._is_changed else None
-        self._is_changed = False
+        found = self._found() if self._fresh else None
+        self._fresh = 0
         if found is None:
             return
         if self.on_estimate is not None:
@@ -200,7 +203,12 @@ class Horizon:
         if votes < config.tracks_min:
             self.reason = f"a horizon takes {config.tracks_min} tracks that come or go, got {votes}"
             return None
-        fit = fitted(places_of(paths, self._size, config), self._size, config, STARTS)
+        places = places_of(paths, self._size, config)
+        if (clear := places.clear().tracks) < config.tracks_min:
+            self.reason = f"a horizon takes {config.tracks_min} tracks that are seen by themselves, got {clear}"
+            return None
+        self._used = sum(path.points for path in paths)
+        fit = fitted(places, self._size, config, STARTS)
         if not fit.noise <= config.noise_max:
             self.reason = (
                 f"the boxes' edges are off by {fit.noise:.0%} of their heights, wanted {config.noise_max:.0%}: "

@@ -44,7 +44,7 @@ class Heights(Evidence):
         bias_px = camera[4] * size.height
 
         def expected(feet_xy: Floats) -> Floats:
-            heights = np.exp(log_heights(camera[:3], log_size, float(camera[6]), feet_xy, size))
+            heights = np.exp(log_heights(camera[:3], log_size, camera[6], feet_xy, size))
             return np.asarray(np.log(np.maximum(heights + bias_px, HEIGHT_MIN)))
 
         feet_xy = feet_of(camera[:3], places.middle_xy, self._height_px, size)
@@ -60,5 +60,5 @@ class Heights(Evidence):
         """Logarithm of the size that the median place has under this camera."""
         sizes = np.full(len(self._height_px), camera[3])
         feet_xy = feet_of(camera[:3], self._places.middle_xy, self._height_px, self._size)
-        off = self._places.log_height - log_heights(camera[:3], sizes, float(camera[6]), feet_xy, self._size)
+        off = self._places.log_height - log_heights(camera[:3], sizes, camera[6], feet_xy, self._size)
         return float(camera[3] + np.median(off))

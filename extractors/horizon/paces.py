@@ -35,7 +35,7 @@ class Paces(Evidence):
 
     def misfits(self, camera: Floats, own: Floats) -> Floats:
         """Misfits of the logarithm of the paces, camera heights per s."""
-        log_pace = np.log(np.maximum(np.hypot(*self._ways(camera).T), 1e-9)) - self._log_s
+        log_pace = np.log(np.maximum(np.linalg.norm(self._ways(camera), axis=-1), 1e-9)) - self._log_s
         return np.asarray(log_pace - camera[5] - own[self._track])
 
     def trends(self, camera: Floats) -> Floats:
@@ -53,10 +53,10 @@ class Paces(Evidence):
         return float(camera[5] + np.median(off))
 
     def _ways(self, camera: Floats) -> Floats:
-        """Each stretch on the ground, right and ahead of the camera, camera heights, `(n, 2)`."""
+        """Each stretch on the ground, right and ahead of the camera, camera heights, `(..., n, 2)`."""
         feet_xy = feet_of(camera[:3], self._places.middle_xy, np.exp(self._places.log_height), self._size)
         ground = ground_points(camera[:3], feet_xy, self._size)
-        return np.asarray(ground[self._to] - ground[self._from])
+        return np.asarray(ground[..., self._to, :] - ground[..., self._from, :])
 
 
 def _stretches(places: Places, share: float) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:

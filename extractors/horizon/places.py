@@ -6,7 +6,7 @@ are left out.
 """
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -35,28 +35,40 @@ class Places:
     """track points that the place is made of, `(n,)`"""
     frame_xy: Floats
     """where in the frame that is, -0.5 to 0.5 on both axes, `(n, 2)`"""
+    is_clear: npt.NDArray[np.bool_]
+    """whether most of the boxes were measured, and not sized as expected, `(n,)`"""
     aspect: float
     """height over width that most have; 0 without places"""
+
+    @property
+    def tracks(self) -> int:
+        """How many tracks there are."""
+        return len(np.unique(self.track))
 
     def halves(self) -> Iterator["Places"]:
         """The tracks that ended first, and the others, as many; nothing of a single track."""
         tracks = np.unique(self.track)
         if len(tracks) > 1:
-            first_late = int(tracks[len(tracks) // 2])
-            is_late = self.track >= first_late
-            yield self._where(~is_late, 0)
-            yield self._where(is_late, first_late)
+            is_late = self.track >= tracks[len(tracks) // 2]
+            yield self._where(~is_late)
+            yield self._where(is_late)
 
-    def _where(self, kept: npt.NDArray[np.bool_], first_track: int) -> "Places":
-        return Places(
-            self.track[kept] - first_track,
-            self.time_s[kept],
-            self.middle_xy[kept],
-            self.log_height[kept],
-            self.likeness[kept],
-            self.points[kept],
-            self.frame_xy[kept],
-            self.aspect,
+    def clear(self) -> "Places":
+        """Those whose boxes were measured."""
+        return self._where(self.is_clear)
+
+    def _where(self, kept: npt.NDArray[np.bool_]) -> "Places":
+        _, track = np.unique(self.track[kept], return_inverse=True)
+        return replace(
+            self,
+            track=track,
+            time_s=self.time_s[kept],
+            middle_xy=self.middle_xy[kept],
+            log_height=self.log_height[kept],
+            likeness=self.likeness[kept],
+            points=self.points[kept],
+            frame_xy=self.frame_xy[kept],
+            is_clear=self.is_clear[kept],
         )
 
 
@@ -66,26 +78,30 @@ class Path:
 
     last_us: int
     places: list[Row] = field(default_factory=list)
-    """`time (s), x, y, width, height (px), points` of each closed place"""
+    """`time (s), x, y, width, height (px), confidence, points` of each closed place"""
     here: list[Row] = field(default_factory=list)
-    """`time (s), x, y, width, height (px)` of the points of the place that is open"""
+    """`time (s), x, y, width, height (px), confidence` of the points of the place that is open"""
     stride: float = 1.0
     """length of a place, in units of the configured one"""
+    points: int = 0
+    """how many were taken in"""
 
-    def add(self, time_s: float, x: float, y: float, width: float, height: float, config: HorizonConfig) -> None:
-        """Take in one box."""
+    def add(self, point: Row, config: HorizonConfig) -> None:
+        """Take in one box: `time (s), x, y, width, height (px), confidence`."""
+        _, x, y, *_ = point
+        self.points += 1
         if self.here:
-            _, x0, y0, _, height0 = self.here[0]
+            _, x0, y0, _, height0, _ = self.here[0]
             if (x - x0) ** 2 + (y - y0) ** 2 > (config.stride * self.stride * height0) ** 2:
                 self.places.append(_median(self.here))
                 self.here = []
                 self._thin(config)
         if len(self.here) < config.place_points_max:
-            self.here.append((time_s, x, y, width, height))
+            self.here.append(point)
 
     def rows(self) -> Floats:
-        """All places, the open one included: `time (s), x, y, width, height (px), points`, `(n, 6)`."""
-        return np.array([*self.places, _median(self.here)] if self.here else self.places).reshape(-1, 6)
+        """All places, the open one included: `time (s), x, y, width, height (px), confidence, points`, `(n, 7)`."""
+        return np.array([*self.places, _median(self.here)] if self.here else self.places).reshape(-1, 7)
 
     def _thin(self, config: HorizonConfig) -> None:
         if len(self.places) > config.track_places_max:
@@ -113,7 +129,7 @@ def is_whole(boxes_xyxy: Floats, confidence: Floats, size: FrameSize, config: Ho
 def places_of(paths: Iterable[Path], size: FrameSize, config: HorizonConfig) -> Places:
     """The places of these tracks as columns, in order."""
     rows = [np.insert(path.rows(), 0, index, axis=1) for index, path in enumerate(paths)]
-    table = np.concatenate(rows) if rows else np.zeros((0, 7))
+    table = np.concatenate(rows) if rows else np.zeros((0, 8))
     shapes = np.log(table[:, 5] / table[:, 4])
     usual = float(np.median(shapes)) if len(shapes) else -np.inf
     unlike = (shapes - usual) / config.shape_spread
@@ -123,7 +139,8 @@ def places_of(paths: Iterable[Path], size: FrameSize, config: HorizonConfig) -> 
         middle_xy=table[:, 2:4],
         log_height=np.log(table[:, 5]),
         likeness=1 / (1 + unlike**2) ** 2,
-        points=table[:, 6],
+        points=table[:, 7],
         frame_xy=table[:, 2:4] / [size.width, size.height] - 0.5,
+        is_clear=table[:, 6] >= config.clear_confidence,
         aspect=float(np.exp(usual)),
     )

@@ -130,7 +130,7 @@ def test_what_does_not_decide_gets_no_event() -> None:
 @pytest.mark.parametrize(
     "horizon, why",
     [
-        (Horizon(0.0, -1e6, np.diag([1e-13, 1e-9])), "math range error"),
+        (Horizon(0.0, 1e6, np.diag([1e-13, 1e-9])), "math range error"),
         (Horizon(*CAMERA.horizon, np.zeros((2, 2))), "Matrix is not positive definite"),
     ],
     ids=["out of this world", "exact"],

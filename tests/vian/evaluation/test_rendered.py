@@ -8,6 +8,7 @@ import pytest
 from extractors.calibration import CalibrationConfig, CalibrationFold, Camera
 from extractors.horizon import FrameSize, HorizonConfig, TrackPoints, estimated
 from extractors.scene import square
+from tests.extractors.calibration.decay import CAMERAS as DECAY_CAMERAS
 from tests.extractors.synthetic import homography_error, walks
 from vian.evaluation.lines import Horizon, error_of
 from vian.evaluation.rendered import rendered, true_boxes
@@ -18,7 +19,7 @@ CAMERAS = {
     "portrait": Camera(620.0, 0.35, 0.03, 4.5, 360, 640),
     "wide": Camera(430.0, 0.55, 0.05, 5.0, 640, 480),
     "narrow": Camera(1000.0, 0.30, 0.0, 8.0, 640, 480),
-}
+} | dict(DECAY_CAMERAS)
 
 
 OF_LINES = HorizonConfig(depth=0.0, depth_spread=0.005)
