@@ -10,6 +10,7 @@ from store.parquet import Projected, project, waiting
 from store.places import Place
 from store.sealing import Sealed, Sealer, archiver
 from vian.errors import WorldFailed, WrongUsage
+from vian.settings import at_home
 
 _UNITS = {"d": 86_400.0, "h": 3_600.0, "m": 60.0, "s": 1.0}
 _AGE = re.compile(r"(\d+(?:\.\d+)?)\s*([dhms])")
@@ -44,10 +45,19 @@ def time_before(days: float, now: datetime) -> datetime:
 
 
 def location_for(log: Log, wanted: str | None) -> str:
-    """Where sealed files go: what was wanted, else where the log's archive is."""
+    """Where sealed files go: what was wanted, else where the log's archive is.
+
+    Raises:
+        WrongUsage: It is in the home of somebody who has none.
+    """
     if wanted is None:
         return log.archive.head().location
-    return wanted if "://" in wanted else str(Path(wanted).expanduser().resolve())
+    if "://" in wanted:
+        return wanted
+    try:
+        return str(at_home(Path(wanted)).resolve())
+    except ValueError as error:
+        raise WrongUsage(f"the archive cannot be at {wanted}: {error}. Next: check the name") from error
 
 
 def place_of(log: Log, location: str) -> Place:

@@ -212,7 +212,7 @@ def _extract_live(job: Job, live: Live) -> Extraction:
         )
     process = process_name(job, added.video)
     unfinished = _unfinished(job)
-    given_up = [_given_up(job, added, unfinished[0], process)] if unfinished else []
+    given_up = _given_up(job, added, unfinished, process) if unfinished else ()
     position = _start(job, added, process, [*given_up, *_interruption(job, added, unfinished), added])[1]
     return _Run(job, live.info, added, process, position, live).whole(live.frames())
 
@@ -227,7 +227,7 @@ def _extract(job: Job, path: Path, info: VideoInfo) -> Extraction:
         if newest is not None and (newest[0].width, newest[0].height) != (added.width, added.height):
             _append_first(job, added)  # an earlier process met another size within the video
         unfinished = _unfinished(job)
-        begun = _start(job, added, process, [_given_up(job, added, unfinished[0], process)] if unfinished else ())
+        begun = _start(job, added, process, _given_up(job, added, unfinished, process) if unfinished else ())
     elif finished := job.said.newest_about(ProcessFinished, process):
         done = finished[0]
         return Extraction(process, job.source, added, done.frames, done.events, done.gaps, was_done=True)
@@ -526,18 +526,36 @@ def _unfinished(job: Job) -> tuple[ProcessStarted, int] | None:
     return newest
 
 
-def _given_up(job: Job, added: VideoAdded, unfinished: ProcessStarted, successor: str) -> ProcessFailed:
-    """That a process has no end: what follows is another's."""
-    job.note(f"process {unfinished.process} on source {job.source} was left unfinished and is given up")
-    progress = job.said.newest_about(ProcessProgressed, unfinished.process)
+def _given_up(
+    job: Job, added: VideoAdded, unfinished: tuple[ProcessStarted, int], successor: str
+) -> Iterator[EventType]:
+    """That a process has no end: what follows is another's; and that the view is another one, if it was left lost."""
+    begun, position = unfinished
+    job.note(f"process {begun.process} on source {job.source} was left unfinished and is given up")
+    lost = _left_lost(job, position)
+    if lost is not None:
+        time = max(added.started_at, lost.time)  # footage that comes later may be older
+        yield SceneChanged(time=time, cause="moved", changed_share=lost.changed_share, dx=None, dy=None)
+    progress = job.said.newest_about(ProcessProgressed, begun.process)
     frames, events = (progress[0].frames, progress[0].events) if progress else (0, 0)
-    return ProcessFailed(
+    yield ProcessFailed(
         time=job.stamp(added.started_at),
-        process=unfinished.process,
+        process=begun.process,
         frames=frames,
         events=events,
         error=f"given up: it was not at its end when process {successor} began",
     )
+
+
+def _left_lost(job: Job, position: int) -> SceneChanged | None:
+    """The loss of its view behind which a process that began there said nothing that it can have seen only later.
+
+    Nobody remembers that view any more; in the dark it is still there, as a rule.
+    """
+    newest = job.said.newest(SceneChanged)
+    if newest is None or newest[1] < position or newest[0].cause != "unknown":
+        return None
+    return None if any(time > newest[0].time for time in _newest_points(job)) else newest[0]
 
 
 def _interruption(job: Job, added: VideoAdded, killed: tuple[ProcessStarted, int] | None) -> tuple[EventType, ...]:
@@ -562,10 +580,14 @@ def _interruption(job: Job, added: VideoAdded, killed: tuple[ProcessStarted, int
 
 def _last_sign(job: Job, killed: ProcessStarted) -> datetime:
     """When a process that was killed was last heard of."""
-    points = job.stream(TrackPoint)
-    newest = [segment.header.time_max for segment in job.log.read(points, job.log.stream_head(points).sequence)]
     progress = job.said.newest_about(ProcessProgressed, killed.process)
-    return max([killed.time, *([progress[0].time] if progress else []), *newest])
+    return max([killed.time, *([progress[0].time] if progress else []), *_newest_points(job)])
+
+
+def _newest_points(job: Job) -> list[datetime]:
+    """When the source's newest track point was seen; empty where there is none."""
+    points = job.stream(TrackPoint)
+    return [segment.header.time_max for segment in job.log.read(points, job.log.stream_head(points).sequence)]
 
 
 def _start(job: Job, added: VideoAdded, process: str, before: Iterable[EventType] = ()) -> tuple[ProcessStarted, int]:

@@ -24,7 +24,7 @@ def existing(given: Path | list[Path] | None) -> Path | list[Path] | None:
     """
     for path in [given] if isinstance(given, Path) else given or []:
         try:
-            path.expanduser().stat()
+            path.stat()
         except (FileNotFoundError, NotADirectoryError) as error:
             raise WrongUsage(f"{path}: no such file or folder. Next: check the name") from error
         except OSError:

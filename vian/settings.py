@@ -18,7 +18,20 @@ from vian.errors import WrongUsage
 
 CONFIG_NAME = "vian.toml"
 
-HomePath = Annotated[Path, AfterValidator(Path.expanduser)]
+
+def at_home(path: Path) -> Path:
+    """The path with ~ and ~NAME for the homes that they stand for.
+
+    Raises:
+        ValueError: Nobody of that name has a home here.
+    """
+    try:
+        return path.expanduser()
+    except RuntimeError as error:
+        raise ValueError(f"{path.parts[0]} is nobody's home here") from error
+
+
+HomePath = Annotated[Path, AfterValidator(at_home)]
 """A path in which ~ is the user's home, wherever it was written."""
 
 

@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 NAME = "motion"
 """name of this extractor in the log"""
-VERSION = "2"
+VERSION = "3"
 """version of its method; a change that says other things for the same frames raises it"""
 
 Share = Annotated[float, Field(ge=0, le=1)]
@@ -155,6 +155,10 @@ class MotionConfig(BaseModel):
     view_rest_s: Positive = 3.0
     """a camera that was moved rests when its picture stays for so long, s; after a rest that did not last, twice
     as long"""
+
+    view_other_s: Positive = 60.0
+    """... if it shows another view than the one that was lost, for which the reason is not known, only after so long: a
+    lorry at a red light or a bus at its stop before the lens is gone by then, and a move ends metres for good, s"""
 
     @property
     def config_hash(self) -> bytes:

@@ -75,14 +75,21 @@ def is_alike(one: Sight, other: Sight) -> bool:
     return share_different(alike, has_edges) <= DIFFERENT_MAX
 
 
-def is_same_view(one: Sight, other: Sight) -> bool:
+def is_same_view(one: Sight, other: Sight, *, is_faint: bool = False) -> bool:
     """Whether half of the blocks in which the first has edges, or more, show the same, though in another light.
 
-    The night's infrared light may turn contrasts around, as of leaves before a wall: then edges have their places and
-    orientations, and the opposite directions.
+    Where the other is faint only blocks count in which both have edges: those that lost theirs say nothing. The night's
+    infrared light may turn contrasts around, as of leaves before a wall: then edges have their places and orientations,
+    and the opposite directions.
     """
-    found = (share_different(*compared(of(one), of(other))) for of in (_directions, _orientations))
-    return min(found) <= DIFFERENT_MAX
+    judged = edges_in(one) & edges_in(other) if is_faint else edges_in(one)
+    alike = (compared(of(one), of(other))[0] for of in (_directions, _orientations))
+    return min(share_different(each, judged) for each in alike) <= DIFFERENT_MAX
+
+
+def edges_in(seen: Sight) -> npt.NDArray[np.bool_]:
+    """Which blocks have edges."""
+    return in_blocks((seen.gradients**2).sum(axis=2)) > EDGES_MIN**2
 
 
 def _directions(seen: Sight) -> Field:

@@ -74,6 +74,8 @@ class _Found:
     objects: blobs.BoxesXyxy | Detections | None
 
 
+_ANEW = "what is known of its horizon and of metres begins anew"
+
 OnFrame = Callable[[Frame, Seen], None]
 
 
@@ -124,6 +126,7 @@ def extract(
             if on_frame:
                 on_frame(item, seen)
     except ExtractorError:
+        motion.leave()
         yield motion.taken(gaps)
         raise
     motion.finish()
@@ -145,7 +148,8 @@ class _Motion:
         self._config = config if detector is None else config.model_copy(update={"confirm_path": 0.0})
         self._detector = detector
         self._start_time = start_time
-        self._view_shape: tuple[int, ...] = ()
+        self._viewed: Frame | None = None
+        self._steadiness: Steadiness | None = None
         self._changes: list[SceneChanged] = []
         self._gaps: list[Gap] = []
         self._emission = Emission(config, start_time)
@@ -227,18 +231,20 @@ class _Motion:
 
     def _view(self, frame: Frame, image: Image, dt_s: float) -> View:
         """What is known of the view; when it is lost nothing seen before can be followed, which is recorded."""
-        if frame.image.shape != self._view_shape:
-            self._view_shape, self._steadiness = frame.image.shape, Steadiness(self._config)
+        if self._viewed is not None and frame.image.shape != self._viewed.image.shape:
+            self.leave()
+        self._viewed, self._steadiness = frame, self._steadiness or Steadiness(self._config)
         view = self._steadiness.look(image, dt_s)
         if view.change is not None:
             self._stop("input_changed")
-            self._changes.append(self._scene_changed(frame, view.change, frame.image.shape[1] / image.shape[1]))
+            self._changes.append(self._scene_changed(frame, view.change))
         told = _told(view)
         if told is not None:
             self._gaps.append(Gap(frame.index, *told))
         return view
 
-    def _scene_changed(self, frame: Frame, change: Change, factor: float) -> SceneChanged:
+    def _scene_changed(self, frame: Frame, change: Change) -> SceneChanged:
+        factor = frame.image.shape[1] / shrunk(frame.image, self._factor_of(frame.image)).shape[1]
         dx, dy = (None, None) if change.shift_xy is None else (each * factor * frame.scale for each in change.shift_xy)
         time = self._start_time + timedelta(microseconds=frame.time_us)
         return SceneChanged(time=time, cause=change.cause, changed_share=change.share, dx=dx, dy=dy)
@@ -251,6 +257,17 @@ class _Motion:
     def finish(self) -> None:
         """End what is open: the video is over."""
         self._stop("end_of_video")
+        self.leave()
+
+    def leave(self) -> None:
+        """Nobody will look at this view again: one that was lost and is not there at last was another's."""
+        change = self._steadiness.end() if self._steadiness is not None else None
+        if change is not None:
+            assert self._viewed is not None, "it has seen a view"
+            self._changes.append(self._scene_changed(self._viewed, change))
+            said = f"these pictures end while the camera shows another view: {_ANEW}"
+            self._gaps.append(Gap(self._viewed.index, GapReason.CAMERA_MOVED, said))
+        self._steadiness = None
 
     def taken(self, gaps: list[Gap]) -> Extraction:
         """What came out since the last call."""
@@ -289,14 +306,13 @@ class _Motion:
 
 def _told(view: View) -> tuple[GapReason, str] | None:
     """What people are told of the view; None if there is no news."""
-    anew = "what is known of its horizon and of metres begins anew"
     if view.has_rested:
         said = "the camera rests: its view is learnt anew"
-        return GapReason.CAMERA_RESTS, said if view.change is None else f"{said}; it is another view: {anew}"
+        return GapReason.CAMERA_RESTS, said if view.change is None else f"{said}; it is another view: {_ANEW}"
     if view.change is None:
         return None
     if view.is_kept:
-        return GapReason.CAMERA_MOVED, f"the camera shows another view than before it was dark: {anew}"
+        return GapReason.CAMERA_MOVED, f"the camera shows another view than before it was dark: {_ANEW}"
     said = f"the camera shows another view ({view.change.cause}): nothing is said of it until it rests"
     return GapReason.CAMERA_MOVED, said
 

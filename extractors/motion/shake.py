@@ -40,6 +40,8 @@ class Shake:
     def undone(self, image: Image, dt_s: float) -> Image:
         """The picture, shifted back; the strip at its edge that it then lacks is that of the picture before."""
         factor = max(1, image.shape[1] // WIDTH)
+        if min(image.shape[:2]) < 2 * factor:
+            return image  # a strip of a line shows no shift
         now = _small(image, factor)
         if self._memory is None or self._last is None:
             self._memory, self._last = now, image

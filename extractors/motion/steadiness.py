@@ -6,13 +6,14 @@ are the directions of edges, block by block, with a slowly renewed memory of the
 the blocks that have edges can say that the view is lost, for a while without a break. A picture without
 edges (night, fog) says nothing, and the view counts as kept.
 
-    kept --most blocks differ--> doubtful --still, after lost_s--> lost --no change for rest_s--> kept
+    kept --most blocks differ--> doubtful --still, after lost_s--> lost --no change for rest_s*--> kept
       ^                             |
       +-------they agree again------+
 
 What covered the view (a lorry, a hand, the dark) and what is another view cannot be told apart when it is lost. It can
 when the picture stays the same again: if it agrees with the memory of the view that was lost, nothing has changed; else
-the camera was moved. In the dark that waits for light.
+the camera was moved, which takes a longer rest (*), so that a lorry may stand there for a while. In the dark that waits
+for light; where nobody will look again, the last picture decides.
 """
 
 from dataclasses import dataclass
@@ -26,10 +27,12 @@ from extractors.motion.config import MotionConfig
 from extractors.motion.edges import (
     ALIKE_MIN,
     BLOCKS_MIN,
+    DIFFERENT_MAX,
     WIDTH,
     Field,
     Sight,
     compared,
+    edges_in,
     in_blocks,
     is_alike,
     is_same_view,
@@ -44,7 +47,9 @@ MEMORY_S = 20.0
 RENEWAL_DIFFERENT = 0.25
 """What differs is learnt more slowly, by this factor: it may be an object that goes on."""
 DIM_SHARE = 0.15
-"""Less of its edges' energy than this share: they are gone, not elsewhere."""
+"""Less of its edges' energy than this share: they may be gone, not elsewhere."""
+DARK_SHARE = 0.5
+"""Less of its brightness than this share: it is dark."""
 REST_AGAIN_S = 30.0
 """A rest that did not last for this long was none: the next must be twice as long, s."""
 REST_MAX_S = 60.0
@@ -84,6 +89,8 @@ class Steadiness:
         self._memory: Sight | None = None
         self._before: Sight | None = None
         """the view that was lost, until it is known whether it came back"""
+        self._newest: tuple[Sight, float] | None = None
+        """what was seen last, and px of the picture for one of that"""
         self._rest: _Rest | None = None
         """watched from the loss of a view until it is known whether it came back"""
         self._is_lost = False
@@ -100,12 +107,17 @@ class Steadiness:
             return View(is_kept=not self._is_lost, is_doubtful=self._is_doubtful)
         step_s, self._since_look_s = self._since_look_s, 0.0
         now, scale = sight(image), image.shape[1] / WIDTH
+        self._newest = now, scale
         if self._memory is None:
             self._memory = now
             return View()
         if self._rest is not None:
             self._rest.look(now, step_s)
         return self._wait(now, scale) if self._is_lost else self._watch(self._memory, now, step_s, scale)
+
+    def end(self) -> Change | None:
+        """That the view was another than the one that was lost, when nobody will look again; None also in the dark."""
+        return self._judged(*self._newest) if self._newest is not None else None
 
     def _watch(self, memory: Sight, now: Sight, step_s: float, scale: float) -> View:
         """Compare with the memory; renew it, or give it up."""
@@ -131,8 +143,8 @@ class Steadiness:
         return View(is_kept=False, change=change)
 
     def _wait(self, now: Sight, scale: float) -> View:
-        """Wait until the picture stays the same for long enough."""
-        if not self._is_at_rest:
+        """Wait until the picture stays the same for long enough; longer if it shows another view than the lost one."""
+        if not self._is_at_rest or (self._is_other(now) and not self._has_rested_for(self._config.view_other_s)):
             return View(is_kept=False)
         self._memory, self._is_lost = now, False
         self._differs_s = self._kept_s = 0.0
@@ -140,19 +152,34 @@ class Steadiness:
 
     def _other_view(self, now: Sight, scale: float) -> Change | None:
         """That the picture rests at another view than the one that was lost; None also where that is not known yet."""
+        return self._judged(now, scale) if self._is_at_rest else None
+
+    def _judged(self, now: Sight, scale: float) -> Change | None:
+        """That this is another view than the one that was lost; in the dark that stays open."""
         before = self._before
-        if before is None or not self._is_at_rest or _is_dim(before, now):
+        if before is None or _is_dim(before, now):
             return None
+        is_other = self._is_other(now)
         self._before = self._rest = None
-        if is_same_view(before, now):
+        if not is_other:
             return None
         shift = _shift(before, now)
         share = share_different(*compared(before.gradients, now.gradients))
         return Change("moved", share, None if shift is None else (shift[0] * scale, shift[1] * scale))
 
+    def _is_other(self, now: Sight) -> bool:
+        """Whether this is certainly another view than the one that was lost."""
+        before = self._before
+        if before is None or _is_dim(before, now):
+            return False
+        return not is_same_view(before, now, is_faint=_is_faint(before, now))
+
     @property
     def _is_at_rest(self) -> bool:
-        return self._rest is not None and self._rest.lasted_s >= self._rest_needed_s
+        return self._has_rested_for(self._rest_needed_s)
+
+    def _has_rested_for(self, seconds: float) -> bool:
+        return self._rest is not None and self._rest.lasted_s >= seconds
 
 
 class _Rest:
@@ -187,7 +214,19 @@ def _change(memory: Sight, now: Sight, share: float, scale: float) -> Change:
 
 
 def _is_dim(memory: Sight, now: Sight) -> bool:
-    """Whether the edges are gone, so that nothing can be said of where they are."""
+    """Whether the edges are gone, so that nothing can be said of where they are.
+
+    A picture as bright as it was that has some is one of less contrast. In the dark lamps have edges of their own, and
+    strong ones: there as many blocks must have edges as decide between two views.
+    """
+    had = edges_in(memory)
+    common = int((had & edges_in(now)).sum())
+    if now.grey.mean() < DARK_SHARE * memory.grey.mean():
+        return common < max(BLOCKS_MIN, DIFFERENT_MAX * int(had.sum()))
+    return _is_faint(memory, now) and common < BLOCKS_MIN
+
+
+def _is_faint(memory: Sight, now: Sight) -> bool:
     energy, left = (float((sight.gradients**2).sum()) for sight in (memory, now))
     return left < DIM_SHARE * energy
 

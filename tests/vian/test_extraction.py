@@ -25,6 +25,7 @@ from events import (
     Producer,
     SceneChanged,
     StreamName,
+    TrackPoint,
     VideoAdded,
     batch_of,
     decode,
@@ -284,6 +285,58 @@ def test_metres_end_where_another_view_came_and_not_where_something_was_before_i
     extract_motion(job(log, path))
     assert [change.cause for change in said(log, SceneChanged)] == causes
     assert standing_calibration(log, "brno", "gate") == (by_hand if causes == ["unknown"] else None)
+
+
+def zoomed(at_s: float, since_s: float = 5.0) -> npt.NDArray[np.uint8]:
+    image = view(300)
+    return image if at_s < since_s else np.asarray(cv2.resize(image[60:180, 80:240], (320, 240)), np.uint8)
+
+
+def test_a_view_that_is_lost_at_the_end_of_a_file_has_no_metres_in_the_next(log: Log, tmp_path: Path) -> None:
+    first = write_clip(tmp_path / "first.mp4", [], seconds=8, seen=zoomed)
+    calibrate_by_hand(log)
+    extract_motion(job(log, first))
+    assert [change.cause for change in said(log, SceneChanged)] == ["unknown", "moved"]
+    assert standing_calibration(log, "brno", "gate") is None
+    second = write_clip(tmp_path / "second.mp4", [], seconds=5, seen=lambda at_s: zoomed(at_s, 0))
+    extract_motion(job(log, second, started_at=START + timedelta(minutes=1)))
+    assert len(said(log, SceneChanged)) == 2
+
+
+def killed_once(what: Callable[[], bool]) -> Callable[[int, int | None], None]:
+    """Kills a process when this has come."""
+    kills: list[int] = []
+
+    def kill(done: int, _expected: int | None) -> None:
+        if what() and not kills:
+            kills.append(done)
+            raise Stopped
+
+    return kill
+
+
+@pytest.mark.parametrize("is_back", [False, True])
+def test_nor_has_it_after_a_process_that_was_killed_before_the_view_came_back(
+    log: Log, tmp_path: Path, is_back: bool
+) -> None:
+    def looks(at_s: float) -> npt.NDArray[np.uint8]:
+        return view(300) if is_back and at_s >= 7 else zoomed(at_s, 3)
+
+    walks = [Walk(12, 15, (20, 100), (300, 100))] if is_back else []
+    first = write_clip(tmp_path / "first.mp4", walks, seconds=17 if is_back else 8, seen=looks)
+    by_hand = calibrate_by_hand(log)
+    kill = killed_once(lambda: bool(said(log, TrackPoint if is_back else SceneChanged)))
+    with pytest.raises(Stopped):
+        extract_motion(job(log, first, on_progress=kill))
+    assert [change.cause for change in said(log, SceneChanged)] == ["unknown"]
+    second = write_clip(tmp_path / "second.mp4", [], seconds=5, seen=lambda _: view(300))
+    kill = killed_once(lambda: True)
+    with pytest.raises(Stopped):
+        extract_motion(job(log, second, started_at=START + timedelta(minutes=1), on_progress=kill))
+    done = extract_motion(job(log, second, started_at=START + timedelta(minutes=1)))
+    assert [change.cause for change in said(log, SceneChanged)] == ["unknown", *([] if is_back else ["moved"])]
+    assert standing_calibration(log, "brno", "gate") == (by_hand if is_back else None)
+    assert done.frames == 50
 
 
 def test_a_second_run_does_nothing(log: Log, clip: Path) -> None:

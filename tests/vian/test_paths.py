@@ -6,8 +6,10 @@ from typing import Any
 
 import pytest
 
+from store import Log
 from tests.vian.conftest import Run
-from vian.errors import ExitCode
+from vian.archiving import location_for
+from vian.errors import ExitCode, WrongUsage
 from vian.reference import all_commands
 
 MADE = {
@@ -54,3 +56,25 @@ def test_a_path_that_is_not_there_is_wrong_usage(run: Run, command: str, argumen
 def test_so_it_is_where_an_argument_may_be_something_else(run: Run, command: str) -> None:
     ran = run(*command.split(), "gone.yaml")
     assert (ran.code, "no such file" in ran.words.lower()) == (ExitCode.WRONG_USAGE, True)
+
+
+@pytest.mark.parametrize("path", ["~nosuch/x", "~/there.yaml"])
+def test_a_home_that_the_shell_did_not_fill_in_is_a_name_like_any_other(
+    run: Run, monkeypatch: pytest.MonkeyPatch, path: str
+) -> None:
+    monkeypatch.setenv("HOME", str(Path.cwd()))
+    Path("there.yaml").touch()
+    ran = run("zones", "calibrate", "gate", path)
+    assert ran.code == ExitCode.WRONG_USAGE
+    assert f"error: {path}: no such file or folder. Next: check the name" in ran.words
+
+
+def test_a_folder_at_the_home_of_nobody_is_wrong_usage(run: Run) -> None:
+    ran = run("query", "select 1", "--data-dir", "~nosuch/x")
+    assert ran.code == ExitCode.WRONG_USAGE
+    assert "setting data_dir: Value error, ~nosuch is nobody's home here, got" in ran.words
+
+
+def test_so_is_an_archive_there(log: Log) -> None:
+    with pytest.raises(WrongUsage, match="the archive cannot be at ~nosuch/x: ~nosuch is nobody's home here"):
+        location_for(log, "~nosuch/x")

@@ -29,6 +29,8 @@ from vian.settings import Settings
 app = typer.Typer(help="Run an extractor on a video or on tracks; its events go into the log.", no_args_is_help=True)
 
 Again = Annotated[int, typer.Option("--again", help="Repeat it as process number N.", min=1)]
+SIDE_MIN_PX = 32
+"""Pictures are not made smaller than this: a person has a few lines there, px."""
 _EXAMPLE = "Example: vian extract motion gate.mp4 --source gate --start 2026-01-31T12:00:00Z"
 
 
@@ -253,7 +255,10 @@ def _shape(fps: float | None, resize: str | None) -> Shape:
     size = re.fullmatch(r"([1-9]\d{0,4})x([1-9]\d{0,4})", resize)
     if size is None:
         raise WrongUsage(f"--resize must be WIDTHxHEIGHT in px, such as 1280x720, got {resize!r}")
-    return Shape(width_max=int(size[1]), height_max=int(size[2]), fps=fps)
+    width, height = int(size[1]), int(size[2])
+    if min(width, height) < SIDE_MIN_PX:
+        raise WrongUsage(f"--resize must leave at least {SIDE_MIN_PX} px of each side, got {resize!r}")
+    return Shape(width_max=width, height_max=height, fps=fps)
 
 
 def _live_limits(settings: Settings) -> LiveLimits:

@@ -17,6 +17,10 @@ from vian.settings import station_option
 EXAMPLE = "Example: vian extract calibration --source gate --camera-height-m 6.5"
 LENGTH_MIN_PX = 10.0
 """Nearer points of a known length say nothing: the hand is off by a pixel, px."""
+LENGTHS_M = (0.01, 10_000.0)
+"""Shortest and longest known length or height of a camera, m: a model on a table, a mountain."""
+PEOPLE_M = (0.1, 10.0)
+"""Lowest and highest mean height of who passes, m: the fit starts from people, and finds nobody far from them."""
 HEIGHT_DEVIATION_SHARE = 0.02
 """Standard deviation of a height that somebody gives: measured with a tape or read off a plan."""
 
@@ -64,9 +68,10 @@ def scale_of(
     """
     if sum(each is not None for each in (camera_height_m, length, person_height_m)) > 1:
         raise WrongUsage("give one of --camera-height-m, --length and --person-height-m: metres come from one of them")
-    for option, value in (("--camera-height-m", camera_height_m), ("--person-height-m", person_height_m)):
-        if value is not None and not (math.isfinite(value) and value > 0):
-            raise WrongUsage(f"{option} must be a length above 0, got {value:g}")
+    if camera_height_m is not None:
+        _check_between("--camera-height-m", camera_height_m, LENGTHS_M)
+    if person_height_m is not None:
+        _check_between("--person-height-m", person_height_m, PEOPLE_M)
     if camera_height_m is not None:
         return CameraHeight(camera_height_m, HEIGHT_DEVIATION_SHARE * camera_height_m)
     if length is not None:
@@ -79,13 +84,20 @@ def _length(text: str) -> KnownLength:
         x1, y1, x2, y2, metres = (float(part) for part in text.split(","))
     except ValueError as error:
         raise WrongUsage(f"--length must be X1,Y1,X2,Y2,METRES such as 310,420,655,431,7.3, got {text!r}") from error
-    if not all(math.isfinite(value) for value in (x1, y1, x2, y2, metres)) or metres <= 0 or (x1, y1) == (x2, y2):
-        raise WrongUsage(f"--length must be of two points apart and a length above 0, got {text!r}")
+    if not all(math.isfinite(value) for value in (x1, y1, x2, y2)) or (x1, y1) == (x2, y2):
+        raise WrongUsage(f"--length must be of two points apart, got {text!r}")
+    _check_between("--length", metres, LENGTHS_M)
     if math.hypot(x2 - x1, y2 - y1) < LENGTH_MIN_PX:
         raise WrongUsage(
             f"--length must be of points at least {LENGTH_MIN_PX:g} px apart, where a pixel is a tenth, got {text!r}"
         )
     return KnownLength((x1, y1), (x2, y2), metres)
+
+
+def _check_between(option: str, metres: float, limits: tuple[float, float]) -> None:
+    low, high = limits
+    if not low <= metres <= high:  # not a number is not between either
+        raise WrongUsage(f"{option} must be from {low:g} to {high:g} m, got {metres:g}")
 
 
 def _report(output: Output, source: str, done: Calibrating, station: str) -> None:

@@ -1,7 +1,8 @@
 """Where the demo goes: into the folder asked for, or the first beside it that this release's demo may use.
 
 Contract: looking appends nothing, but brings a log to this release's schema, as opening it does. A log in which another
-release's demo is stays as it is: beside that one's events this one's would be counted twice.
+release's demo is keeps its events and gets no others: beside them this one's would be counted twice. One that this
+release cannot open is not touched.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -11,7 +12,7 @@ from pathlib import Path
 from events import ProcessStarted
 from patterns.files.rule import Rule
 from patterns.processor import standing
-from store import Log, open_log
+from store import Log, SchemaMismatch, WrongMajor, open_log
 from vian.errors import WorldFailed
 from vian.options import has_log
 from vian.said import Said
@@ -35,18 +36,27 @@ def folder_for(wanted: Path, obstacle: Callable[[Log], str | None], note: Callab
     for number in count(2):
         if not has_log(folder):
             return folder
-        with open_log(data_dir=folder) as log:
-            found = obstacle(log)
+        found = _found(folder, obstacle)
         if found is None:
             return folder
         if number > FOLDERS_MAX:
             break
         left, folder = folder, wanted.with_name(f"{wanted.name}-{number}")
-        note(f"the log in {left} {found}. It stays as it is, and the demo goes on in {folder}")
+        note(f"the log in {left} {found}. Nothing is added to it, and the demo goes on in {folder}")
     raise WorldFailed(
         f"{FOLDERS_MAX} folders from {wanted} to {folder} hold logs that the demo leaves alone. "
         "Next: remove those that nobody needs, or vian demo --data-dir NEW-FOLDER"
     )
+
+
+def _found(folder: Path, obstacle: Callable[[Log], str | None]) -> str | None:
+    try:
+        with open_log(data_dir=folder) as log:
+            return obstacle(log)
+    except SchemaMismatch:
+        return "is of a newer release, or not of ViAn alone"
+    except WrongMajor:
+        return "is of a release with another PostgreSQL"
 
 
 def obstacle_in(log: Log, station: str, processes: Mapping[str, str], rules: Iterable[Rule]) -> str | None:

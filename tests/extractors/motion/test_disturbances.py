@@ -168,3 +168,10 @@ def test_what_stood_for_so_long_that_it_became_background_leaves_no_ghost_behind
     assert np.isin([25, 135], frame).all()  # it was seen to come and to leave,
     assert not (frame == 125).any()  # was background before,
     assert not (frame > 170).any()  # and nothing is left of it
+
+
+@pytest.mark.parametrize("size", [(1, 1), (1, 90), (90, 1), (5000, 2), (4000, 8)])
+def test_pictures_of_a_line_or_two_are_looked_at_without_an_error(size: tuple[int, int]) -> None:
+    rng = np.random.default_rng(1)
+    pictures = [rng.integers(0, 255, (size[1], size[0], 3), np.uint8) for _ in range(8)]
+    assert run(Frame(i, 100_000 * i, image) for i, image in enumerate(pictures)).extractions[-1].frames == 8

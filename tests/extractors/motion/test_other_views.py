@@ -12,6 +12,8 @@ from events import SceneChanged, events_of
 from extractors import scene
 from extractors.calibration import Camera
 from extractors.media import Frame, GapReason, Image
+from extractors.motion import MotionConfig
+from extractors.motion.steadiness import Steadiness
 from tests.extractors.motion.runs import Run, run
 from tests.extractors.motion.views import view
 
@@ -32,8 +34,12 @@ def pictures(camera: Camera = CAMERA) -> list[Image]:
     return list(scene.render(watched(WALK, camera=camera)))
 
 
-def seen(images: Iterator[Image]) -> Run:
-    return run(Frame(i, 100_000 * i, image) for i, image in enumerate(images))
+SOON = MotionConfig(view_other_s=3.0)
+"""Who takes what rests for another view soon; clips are short."""
+
+
+def seen(images: Iterator[Image], config: MotionConfig = SOON) -> Run:
+    return run((Frame(i, 100_000 * i, image) for i, image in enumerate(images)), config)
 
 
 def causes(found: Run) -> list[str]:
@@ -65,6 +71,16 @@ def test_a_lorry_that_passes_before_the_lens_moves_no_camera() -> None:
     found = seen(scene.render(watched(WALK, LORRY)))
     assert causes(found) in (["unknown"], ["covered"]), "the view was lost"
     assert [gap.reason for step in found.extractions for gap in step.gaps][-1] is GapReason.CAMERA_RESTS
+
+
+@pytest.mark.parametrize("stands_s, found", [(20, ["unknown"]), (70, ["unknown", "moved", "unknown", "moved"])])
+def test_a_lorry_that_stands_before_the_lens_is_waited_for_a_minute(stands_s: int, found: list[str]) -> None:
+    street, lorry = view(300), view(1200)
+    steadiness = Steadiness(MotionConfig())
+    pictures = [street] * 10 + [lorry] * 2 * stands_s + [street] * 160
+    looked = [steadiness.look(picture, 0.5) for picture in pictures]
+    assert [each.change.cause for each in looked if each.change] == found
+    assert looked[-1].is_kept
 
 
 def dark(image: Image, seed: int) -> Image:
@@ -112,3 +128,25 @@ def test_a_view_that_comes_back_in_another_light_or_with_a_van_before_it_is_the_
         return image if at < 60 else change(image)
 
     assert causes(seen(now(at) for at in range(120))) == ["unknown"]
+
+
+ZOOMED = replace(CAMERA, focal_px=480.0)
+
+
+def test_a_view_that_is_lost_at_the_end_is_another_for_whoever_comes_next() -> None:
+    found = seen(then(pictures()[:60], pictures(ZOOMED)[:60]))
+    assert causes(found) == ["unknown", "moved"]
+    assert (
+        "end while the camera shows another view" in [gap for step in found.extractions for gap in step.gaps][-1].detail
+    )
+
+
+@pytest.mark.parametrize("last", [pictures, lambda: [dark(image, 1) for image in pictures()]], ids=["back", "dark"])
+def test_one_that_is_back_at_the_end_is_not_and_in_the_dark_nothing_is_known(last: Callable[[], list[Image]]) -> None:
+    lost = [*pictures()[:25], *pictures(ZOOMED)[25:45]]
+    assert causes(seen(iter([*lost, *last()[45:55]]))) == ["unknown"]
+
+
+def test_a_view_that_is_lost_when_pictures_come_in_another_size_is_another() -> None:
+    smaller = [np.asarray(cv2.resize(image, (256, 144)), np.uint8) for image in pictures(ZOOMED)[60:120]]
+    assert causes(seen(iter([*then(pictures()[:60], pictures(ZOOMED)[:60]), *smaller]))) == ["unknown", "moved"]

@@ -17,9 +17,11 @@ FPS = 10
 START = datetime(2026, 1, 1, tzinfo=UTC)
 
 
-def changes(pictures: Iterable[Image]) -> tuple[list[tuple[float, Change]], list[float]]:
+def changes(
+    pictures: Iterable[Image], config: MotionConfig | None = None
+) -> tuple[list[tuple[float, Change]], list[float]]:
     """When the view was lost and how, and when the camera rested again, s."""
-    steadiness = Steadiness(MotionConfig())
+    steadiness = Steadiness(config or MotionConfig())
     lost, rested = [], []
     for at, image in enumerate(pictures):
         seen = steadiness.look(image, 1 / FPS if at else 0.0)
@@ -81,6 +83,45 @@ def test_a_covered_camera_is_found() -> None:
     covered = np.full((HEIGHT, WIDTH, 3), 20, np.uint8)
     ((_, change),), _ = changes(view(300, seed=at) if at < 30 else covered for at in range(60))
     assert change.cause == "covered"
+
+
+def faint(image: Image, contrast: float, light: float = 1.0) -> Image:
+    """The picture in mist, or with the lights low."""
+    seen = light * (120 + contrast * (image.astype(np.float32) - 120))
+    grain = np.random.default_rng(int(image[0, 0, 0])).normal(0, 2, image.shape)
+    return np.asarray(np.clip(seen + grain, 0, 255), np.uint8)
+
+
+@pytest.mark.parametrize("contrast, light", [(0.35, 1.0), (0.25, 1.0), (0.15, 1.0), (0.6, 0.4)])
+def test_a_camera_that_is_turned_to_a_view_of_less_contrast_is_found_out(contrast: float, light: float) -> None:
+    def turned(at: int) -> Image:
+        return view(300, seed=at) if at < 30 else faint(view(1200, 300, seed=at, noise=0), contrast, light)
+
+    lost, (rested_s, *_) = changes((turned(at) for at in range(120)), MotionConfig(view_other_s=5))
+    assert [change.cause for _, change in lost][-1] == "moved"
+    assert lost[-1][0] <= rested_s + 0.5
+
+
+@pytest.mark.parametrize("contrast", [0.25, 0.12])
+def test_mist_before_the_lens_is_no_other_view(contrast: float) -> None:
+    def misty(at: int) -> Image:
+        hidden = view(900 + 8 * at, seed=at)
+        kept = faint(view(300, seed=at, noise=0), contrast)
+        return view(300, seed=at) if at < 30 else hidden if at < 55 else kept
+
+    lost, _ = changes(misty(at) for at in range(150))
+    assert [change.cause for _, change in lost] == ["unknown"]
+
+
+def test_lamps_in_the_dark_are_no_other_view() -> None:
+    def night(at: int) -> Image:
+        image = faint(view(300, seed=at, noise=0), 0.0, 0.1)
+        for x, y in ((40, 40), (150, 50), (270, 45), (60, 150), (200, 160), (280, 170)):
+            cv2.circle(image, (x, y), 6, (180, 220, 230), -1)
+        return image
+
+    lost, _ = changes(view(300, seed=at) if at < 30 or at >= 150 else night(at) for at in range(200))
+    assert [change.cause for _, change in lost] == ["covered", "unknown"], "the lights go on at last"
 
 
 def test_a_picture_without_edges_says_nothing() -> None:

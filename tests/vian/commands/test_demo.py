@@ -5,6 +5,7 @@ import shlex
 from contextlib import closing
 from pathlib import Path
 
+import psycopg
 import pytest
 
 from events import ProcessStarted, StreamName, batch_of
@@ -16,6 +17,7 @@ from tests.vian.conftest import Run
 from tests.vian.samples import START, append, points, reopened
 from vian.commands import demo
 from vian.demo.clip import Clip, Origin
+from vian.demo.place import folder_for
 from vian.demo.run import STATION
 from vian.demo.scenes import source_of
 
@@ -77,6 +79,20 @@ def test_a_log_of_an_older_release_is_brought_up_and_one_of_another_demo_left_al
     assert f"--data-dir {beside} " in ran.out
     with open_log(data_dir=folder) as log:
         assert log.head() == 1
+
+
+def test_a_log_that_this_release_cannot_open_is_passed_over(public_folder: Path) -> None:
+    newer, other_major = public_folder / "demo", public_folder / "demo-2"
+    with open_log(data_dir=newer) as log, psycopg.connect(log.dsn) as connection:
+        connection.execute("update alembic_version set version_num = '9999'")
+    (other_major / "pg").mkdir(parents=True)
+    (other_major / "pg" / "PG_VERSION").write_text("99\n")
+    notes: list[str] = []
+    assert folder_for(newer, lambda _: None, notes.append) == public_folder / "demo-3"
+    assert notes[0].startswith(
+        f"the log in {newer} is of a newer release, or not of ViAn alone. Nothing is added to it"
+    )
+    assert notes[1].startswith(f"the log in {other_major} is of a release with another PostgreSQL. Nothing is added")
 
 
 @pytest.mark.parametrize(

@@ -69,6 +69,8 @@ def test_a_guessed_start_is_told(log: Log, run: Run, clip: Path) -> None:
         ("rtsp://user:geheim@127.0.0.1:9/1", [], 1, "rtsp://127.0.0.1:9/1: not a live stream that can be opened"),
         ("text.mp4", ["--fps", "0"], 2, "--fps must be above 0"),
         ("text.mp4", ["--resize", "720p"], 2, "--resize must be WIDTHxHEIGHT in px"),
+        ("text.mp4", ["--resize", "1280x1"], 2, "--resize must leave at least 32 px of each side, got '1280x1'"),
+        ("text.mp4", ["--person-height-m", "1e300"], 2, "--person-height-m must be from 0.1 to 10 m, got 1e+300"),
         ("text.mp4", ["--mask", "no.png"], 2, "no.png: no such file or folder"),
         ("text.mp4", ["--mask", "text.mp4"], 2, "text.mp4: is no picture, wanted a PNG"),
         ("text.mp4", ["--login-file", "text.mp4"], 2, "--login-file is for an address"),
