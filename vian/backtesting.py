@@ -11,9 +11,9 @@ from events import Segment
 from patterns.binding.bound import BoundRule
 from patterns.engine.situations import Match
 from patterns.processor import ProcessorLimits
+from patterns.processor.cameras import known_at
 from patterns.processor.deploying import rules_in_service
 from patterns.processor.live import Below, live_source, types_below
-from patterns.processor.passes import after_moves_of, site_at
 from patterns.tools.backtest import CONTROL_TYPES, Backtest
 from store import Log
 
@@ -117,8 +117,7 @@ def backtest_after(
         below = Below(types_below(bound.rule, rules_in_service(log)), after)
         return live_source(log, below, position, sources)
 
-    said, after_moves = site_at(log, after), after_moves_of(log)
-    return Backtest(bound, log.catalogue, after=after, site=said, after_moves=after_moves, limits=limits, live=live)
+    return Backtest(bound, log.catalogue, after=after, cameras=known_at(log, after), limits=limits, live=live)
 
 
 def position_before(log: Log, types: Sequence[str], time: datetime) -> int:

@@ -31,6 +31,7 @@ from events import (
 from extractors import motion
 from extractors.calibration import NAME, VERSION, CalibrationConfig, KnownLength, Scale
 from extractors.horizon import OTHER_VIEWS, FrameSize
+from patterns.scene.site import is_move
 from store import Log
 from vian.camera_folds import CameraConfig, CameraFolds
 from vian.errors import WorldFailed, WrongUsage
@@ -50,7 +51,7 @@ class Calibrating:
     Attributes:
         tracks: Tracks read.
         points: Their points.
-        newest: The newest calibration of this run; None: the tracks decide none.
+        newest: The calibration of this run that stands now; None: the tracks of the present view decide none.
         appended: Events appended now.
         reason: Why the last look said nothing new.
     """
@@ -95,7 +96,8 @@ def calibrate_from_tracks(
         if new:
             producer = Producer(NAME, VERSION, config.config_hash)
             log.append([encode(stream, batch_of(new), producer)], [log.stream_head(stream).sequence])
-        return Calibrating(len(tracks), points, found[-1] if found else None, len(new), folds.reason)
+        newest = found[-1] if found and found[-1] == standing_calibration(log, station, source) else None
+        return Calibrating(len(tracks), points, newest, len(new), folds.reason)
 
 
 def config_for(log: Log, station: str, source: str) -> CalibrationConfig:
@@ -112,15 +114,18 @@ def config_for(log: Log, station: str, source: str) -> CalibrationConfig:
 def standing_calibration(
     log: Log, station: str, source: str, to_position: int | None = None
 ) -> CameraCalibrated | None:
-    """The source's newest calibration up to a position (None: of all), unless its camera was moved since then."""
+    """The newest calibration of the view that the source has, as the log says up to a position; None: it has none."""
     said = Said(log, station, source)
-    newest, at = None, 0
-    for event, position in said.every(CameraCalibrated):
-        if to_position is None or position <= to_position:
-            newest, at = event, position
-    for change, position in said.every(SceneChanged):
-        if change.cause == "moved" and at < position and (to_position is None or position <= to_position):
-            return None
+    moves = [(event, position) for event, position in said.every(SceneChanged) if is_move(event)]
+    newest: CameraCalibrated | None = None
+    moved_at: datetime | None = None
+    for event, position in sorted([*said.every(CameraCalibrated), *moves], key=lambda each: each[1]):
+        if to_position is not None and position > to_position:
+            break
+        if isinstance(event, SceneChanged):
+            newest, moved_at = None, max(event.time, moved_at or event.time)
+        elif isinstance(event, CameraCalibrated) and (moved_at is None or event.time >= moved_at):
+            newest = event
     return newest
 
 
@@ -144,11 +149,11 @@ def _of_views(folds: CameraFolds, batches: Iterable[EventBatch]) -> Iterator[Cam
     began: datetime | None = None
     newest: CameraCalibrated | None = None
     for batch in batches:
-        is_end = _is_end_of_view(batch, folds.size)
+        ended = _end_of_view(batch, folds.size)
         newest = next(reversed(calibrations_in(_folded(folds, batch))), newest)
-        if is_end:
+        if ended is not None:
             yield from _dated(newest, began)
-            began = newest = None
+            began, newest = ended, None
         elif began is None:
             began = _beginning(batch)
     yield from _dated(next(reversed(calibrations_in(folds.finish())), newest), began)
@@ -158,18 +163,17 @@ def _dated(newest: CameraCalibrated | None, began: datetime | None) -> list[Came
     return [newest.model_copy(update={"time": began})] if newest is not None else []
 
 
-def _is_end_of_view(batch: EventBatch, size: FrameSize) -> bool:
-    """Whether the batch says that the view or the frames' size changed."""
+def _end_of_view(batch: EventBatch, size: FrameSize) -> datetime | None:
+    """When the view or the frames' size changed last, as the batch says; None: neither did."""
     if batch.type is TrackPoint:
-        return False
-    return any(
-        FrameSize(event.width, event.height) != size if isinstance(event, VideoAdded) else _is_other_view(event)
-        for event in events_of(batch)
-    )
+        return None
+    return next((since for event in reversed(events_of(batch)) if (since := _changed(event, size)) is not None), None)
 
 
-def _is_other_view(event: EventType) -> bool:
-    return isinstance(event, SceneChanged) and event.cause in OTHER_VIEWS
+def _changed(event: EventType, size: FrameSize) -> datetime | None:
+    if isinstance(event, VideoAdded):
+        return event.started_at if FrameSize(event.width, event.height) != size else None
+    return event.time if isinstance(event, SceneChanged) and event.cause in OTHER_VIEWS else None
 
 
 def _beginning(batch: EventBatch) -> datetime | None:

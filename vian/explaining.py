@@ -165,7 +165,7 @@ def _site(log: Log, position: int) -> Site:
     for segment in log.read_all(types=types, to_position=position):
         try:
             for sequence, event in enumerate(events_of(decode(segment, log.catalogue)), segment.header.first_sequence):
-                site.learn(event, str(segment.stream), sequence)
+                site.learn(event, str(segment.stream), sequence, epoch=segment.header.epoch)
         except (UnknownType, PatternError):
             continue  # what no rule could be judged by
     return site

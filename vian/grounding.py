@@ -152,7 +152,7 @@ def _scales(points: pa.Table, to: tuple[int, int], sizes: list[tuple[int, tuple[
 
 
 def _by_source(calibrations: pa.Table, videos: pa.Table, changes: pa.Table, position: int | None) -> dict[Key, Known]:
-    """What is known of each source; of calibrations at a named position the last only."""
+    """What is known of each source; of calibrations only those at the position, if it is named."""
     found: dict[Key, Known] = {}
 
     def of(row: dict[str, Any]) -> Known:

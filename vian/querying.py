@@ -236,9 +236,10 @@ def _without_metres(table: pa.Table, calibrations: pa.Table, named: int | None) 
     which = ", ".join(f"{lacks} of {count} points of {source}" for _, source, lacks, count in lacking[:_NAMED_MOST])
     which += f" and points of {len(lacking) - _NAMED_MOST} more sources" if len(lacking) > _NAMED_MOST else ""
     if named is not None:
-        of = calibrations.filter(pc.equal(calibrations.column("position"), named)).column("source")[0]
+        there = calibrations.filter(pc.equal(calibrations.column("position"), named))
+        of, views = there.column("source")[0], "one view" if len(there) == 1 else f"up to {len(there)} views"
         return (
-            f"{GROUND}: calibration {named} is of one view of {of}, between two moves, so {which} have no metres. "
+            f"{GROUND}: calibration {named} is of {views} of {of}, between two moves, so {which} have no metres. "
             f"Next: add --source {of}, or leave --calibration out: then each point is read through that of its time"
         )
     station = station_option(station)

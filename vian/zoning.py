@@ -20,7 +20,9 @@ from events import (
     CameraCalibrated,
     EventType,
     Producer,
+    SceneChanged,
     StreamName,
+    TrackPoint,
     VideoAdded,
     ZoneDefined,
     ZoneRemoved,
@@ -38,6 +40,7 @@ from patterns.scene.ground import Calibration
 from patterns.scene.site import shape_of
 from store import Log
 from vian.errors import WrongUsage
+from vian.said import Said
 from vian.version import VERSION
 
 Shape = Zone | Line
@@ -210,11 +213,15 @@ def calibrated(points: Sequence[GroundPoint], frame_size: tuple[int, int]) -> tu
     return calibration, float(np.sqrt(np.mean((east_m - ground[:, 0]) ** 2 + (north_m - ground[:, 1]) ** 2)))
 
 
-def calibrate(log: Log, station: str, source: str, calibration: Calibration, rms_m: float, at: datetime) -> int:
-    """Record the source's calibration; its position in the log."""
+def calibrate(log: Log, station: str, source: str, calibration: Calibration, rms_m: float, now: datetime) -> int:
+    """Record the source's calibration; its position in the log.
+
+    It is of the view that the source's newest footage shows, and dated so: in a recording that may be long ago, and
+    other footage of the past can show another view.
+    """
     width, height = calibration.frame_size
     event = CameraCalibrated(
-        time=at,
+        time=_newest_footage(log, station, source) or now,
         homography=json.dumps(calibration.matrix),
         width=width,
         height=height,
@@ -228,6 +235,18 @@ def calibrate(log: Log, station: str, source: str, calibration: Calibration, rms
         scale="points",
     )
     return _append(log, station, source, event)
+
+
+def _newest_footage(log: Log, station: str, source: str) -> datetime | None:
+    """The time of the source's newest footage that the log knows of; None: it has none."""
+    types = [TrackPoint.type_name, SceneChanged.type_name]
+    streams = [StreamName.of(station, source, each) for each in types]
+    last = [each for stream in streams for each in log.read(stream, log.stream_head(stream).sequence)]
+    times = [each.header.time_max for each in last]
+    times += [event.started_at for event, _ in Said(log, station, source).every(VideoAdded)]
+    newest = max(times, default=None)  # of streams in the order of time; the few segments behind it tell of others
+    later = log.read_all(types=types, sources=[source], stations=[station], since=newest)
+    return max((each.header.time_max for each in later), default=newest)
 
 
 def frame_size_of(log: Log, station: str, source: str) -> tuple[int, int] | None:

@@ -19,6 +19,9 @@ from patterns.binding.expressions import Call, Column, Const, Crosses, Expr, InZ
 from patterns.scene.geometry import Line, Zone
 from patterns.scene.places import Places
 
+ROW_TIME = "@time"
+"""The column of rows with their time, in microseconds, whatever else is read of them."""
+
 _TYPES = {
     Kind.BOOL: pa.bool_(), Kind.INT: pa.int64(), Kind.FLOAT: pa.float64(), Kind.STRING: pa.string(),
     Kind.TIME: pa.int64(), Kind.DURATION: pa.int64(), Kind.NULL: pa.bool_(),
@@ -95,6 +98,8 @@ class ColumnEvaluator:
                 return self.places.inside(zone, expr.zone, x, y)
 
             answers.ask(zone.source, inside)
+            if zone.units == "metres":
+                answers.leave_open(zone.source, self.before_move(zone.source))
         return answers.column(pa.bool_())
 
     def _crosses(self, expr: Crosses) -> Any:
@@ -108,6 +113,8 @@ class ColumnEvaluator:
                 return self.places.crossed(line, expr.line, (x0, y0, x1, y1), expr.direction)
 
             answers.ask(line.source, crossed)
+            if line.units == "metres":
+                answers.leave_open(line.source, self.before_move(line.source))
         return answers.column(pa.bool_())
 
     def _on_ground(self, expr: OnGround) -> Any:
@@ -119,8 +126,16 @@ class ColumnEvaluator:
                 return self.places.on_ground(source, expr.what, list(values))
 
             answers.ask(source, ground)
+            answers.leave_open(source, self.before_move(source))
         column = answers.column(pa.float64())
         return pc.if_else(pc.is_finite(column), column, pa.scalar(None, pa.float64()))
+
+    def before_move(self, source: str) -> NDArray[np.bool_]:
+        """Which rows are from before the source's camera was moved: what is known of it now is of another view."""
+        moved_us = self.places.site.moved_us.get(source)
+        if moved_us is None:
+            return np.zeros(self.rows.table.num_rows, dtype=bool)
+        return np.asarray(self.rows.table.column(ROW_TIME).to_numpy()) < moved_us
 
     def _one_of(self, expr: OneOf) -> Any:
         column = self.column(expr.operands[0])
@@ -144,9 +159,9 @@ class _Answers:
     answers: NDArray[np.float64]
     is_unknown: NDArray[np.bool_]
 
-    def leave_open(self, source: str) -> None:
-        """Nothing is known of the rows of this source."""
-        self.is_unknown |= np.asarray(pc.fill_null(pc.equal(self.source, source), False))
+    def leave_open(self, source: str, rows: NDArray[np.bool_] | bool = True) -> None:
+        """Nothing is known of the rows of this source, or of those of them that are named."""
+        self.is_unknown |= np.asarray(pc.fill_null(pc.equal(self.source, source), False)) & rows
 
     def ask(self, source: str, question: Callable[..., NDArray[Any]]) -> None:
         """Asks about the rows of this source."""

@@ -16,11 +16,11 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from patterns.binding.columns import arrow_type
+from patterns.binding.columns import ROW_TIME, arrow_type
 from patterns.binding.expressions import Kind
 from patterns.errors import MatchError
 
-STREAM, TIME, SEQUENCE = "@stream", "@time", "@sequence"
+STREAM, TIME, SEQUENCE = "@stream", ROW_TIME, "@sequence"
 _ENVELOPE = ("time", "sequence", "source", "station", "type")
 
 

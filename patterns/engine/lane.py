@@ -346,7 +346,7 @@ class Lane:
         self.site.frame_sizes[source] = (width, height)
         self.recorder.forget_rasters()
 
-    def learn(self, event: EventType, stream: str, sequence: int) -> dict[str, Outcome]:
+    def learn(self, event: EventType, stream: str, sequence: int, *, epoch: int = 1) -> dict[str, Outcome]:
         """Takes in what an event says of a camera; a rule that cannot use it is set aside."""
         self.prepare()
         needing = [
@@ -355,7 +355,7 @@ class Lane:
         ]  # fmt: skip
         if needing:
             try:
-                self.site.learn(event, stream, sequence, self.clock.watermark_us)
+                self.site.learn(event, stream, sequence, self.clock.watermark_us, epoch=epoch)
             except MatchError as error:
                 for at in needing:
                     self._fail(at, error)

@@ -200,6 +200,8 @@ class RowEvaluator(ColumnEvaluator):
         for line in self.places.lines_named(expr.line):
             is_here = self.is_from(line.source)
             asked = is_here & is_finite if self.places.is_known(line) else np.zeros_like(is_here)
+            if line.units == "metres":
+                asked &= ~self.before_move(line.source)
             is_unknown |= is_here & ~asked
             if not asked.any():
                 continue

@@ -246,13 +246,13 @@ class RuleSetRun:
         for lane in self._lanes:
             lane.set_frame_size(source, width, height)
 
-    def learn(self, event: EventType, stream: str, sequence: int) -> None:
+    def learn(self, event: EventType, stream: str, sequence: int, *, epoch: int = 1) -> None:
         """Takes in what an event says of a camera: see `RuleRun.learn`. A rule that cannot use it is set aside."""
         with suppress(MatchError):  # The rules that need it say so themselves.
-            self._site.learn(event, stream, sequence)
+            self._site.learn(event, stream, sequence, epoch=epoch)
         self._each(
-            partial(_learnt, event=event, stream=stream, sequence=sequence),
-            lambda lane: lane.learn(event, stream, sequence),
+            partial(_learnt, event=event, stream=stream, sequence=sequence, epoch=epoch),
+            lambda lane: lane.learn(event, stream, sequence, epoch=epoch),
         )
 
     def push(self, rows: Rows) -> Outcomes:
@@ -488,8 +488,8 @@ def _pushed(run: RuleRun, rows: Rows) -> Outcome:
     return run.push(rows)
 
 
-def _learnt(run: RuleRun, event: EventType, stream: str, sequence: int) -> Outcome:
-    run.learn(event, stream, sequence)
+def _learnt(run: RuleRun, event: EventType, stream: str, sequence: int, epoch: int) -> Outcome:
+    run.learn(event, stream, sequence, epoch=epoch)
     return _NOTHING
 
 

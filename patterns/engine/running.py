@@ -180,19 +180,20 @@ class RuleRun:
         """Takes in all that another site knows, beside what was known when the rule was bound."""
         self._site.take(site)
 
-    def learn(self, event: EventType, stream: str, sequence: int) -> None:
+    def learn(self, event: EventType, stream: str, sequence: int, *, epoch: int = 1) -> None:
         """Takes in what an event says of a camera; it holds for rows that are not final yet, and those to come.
 
         Args:
             event: An event of one of `patterns.scene.site.SITE_TYPES`; others say nothing.
             stream: Its stream, as station/source/type.
             sequence: Its sequence there.
+            epoch: The epoch of the stream's station.
 
         Raises:
             MatchError: It says no zone, line or calibration, and the rule needs it.
         """
         if needs(self.bound, event, needs_calibration=self._narrator.needs_calibration):
-            self._site.learn(event, stream, sequence, self._clock.watermark_us)
+            self._site.learn(event, stream, sequence, self._clock.watermark_us, epoch=epoch)
 
     def push(self, rows: Rows) -> Outcome:
         """Takes rows as they arrive, of any streams. Rows of other event types only move the watermark.

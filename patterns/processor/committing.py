@@ -244,6 +244,7 @@ def _state(work: Work, member: Member) -> SavedState:
         run=work.rules.state(member),
         newest_us=work.rules.newest_us,
         finish_after_us=member.finish_after_us,
+        foreknown_to=work.rules.foreknown_to,
     )
 
 

@@ -9,7 +9,8 @@ that follows late.
 """
 
 import logging
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from itertools import accumulate, groupby
@@ -18,18 +19,14 @@ import numpy as np
 import pyarrow as pa
 
 from events import (
-    CameraCalibrated,
     Catalogue,
     EventBatch,
     EventType,
     ProcessFailed,
     ProcessFinished,
-    SceneChanged,
     Segment,
     UnknownType,
-    VideoAdded,
     ZoneDefined,
-    ZoneRemoved,
     decode,
     events_of,
 )
@@ -39,12 +36,12 @@ from patterns.durations import microseconds
 from patterns.engine.ruleset import Outcomes, RuleSetRun, RuleStatus
 from patterns.engine.running import Outcome
 from patterns.engine.situations import EventRef, as_microseconds
-from patterns.errors import RuleTooSlow
+from patterns.errors import MatchError, RuleTooSlow
+from patterns.processor.cameras import Known, SiteEvent, site_events
 from patterns.processor.limits import ProcessorLimits
 from patterns.processor.members import Finding, Member
 from patterns.processor.saving import SavedState
-from patterns.scene.site import SITE_TYPES, is_move
-from store import Log
+from patterns.scene.site import SITE_TYPES, Site
 
 logger = logging.getLogger(__name__)
 UNCALIBRATED = "uncalibrated"
@@ -53,10 +50,6 @@ UNCALIBRATED = "uncalibrated"
 ENDS: tuple[type[EventType], ...] = (ProcessFinished, ProcessFailed)
 """What says that a source will send no more."""
 CONTROL = (*SITE_TYPES, *ENDS)
-SiteEvent = tuple[EventType, str, int]
-"""An event, its stream, and its sequence there."""
-AfterMoves = Mapping[tuple[str, int], SiteEvent]
-"""What people said first of the view that a move of a camera began, by the move's stream and sequence."""
 
 _NOTHING = Outcome()
 _STREAM_COLUMNS = ("station", "source", "type")
@@ -72,8 +65,7 @@ class Pass:
         position: int,
         catalogue: Catalogue,
         limits: ProcessorLimits,
-        site: Iterable[SiteEvent] = (),
-        after_moves: AfterMoves | None = None,
+        cameras: Known | None = None,
     ) -> None:
         """A pass without rules.
 
@@ -81,8 +73,7 @@ class Pass:
             position: The rules have seen the log up to here.
             catalogue: The event types there are.
             limits: See `ProcessorLimits`.
-            site: What the log up to there says of the cameras, in order.
-            after_moves: What is learnt with a move of a camera: see `after_moves_of`.
+            cameras: What is known of the cameras there: see `known_at`; None: nothing.
         """
         self.position = position
         self.members: dict[str, Member] = {}
@@ -98,13 +89,24 @@ class Pass:
         """For rules that read situations a source that may still lead to some."""
         self._catalogue = catalogue
         self._limits = limits
-        self._after_moves = after_moves or {}
+        self.site = Site()
+        """What is known of the cameras where it stands."""
+        self._known = cameras or Known()
         self._site: dict[tuple[object, ...], SiteEvent] = {}
         self._sets: dict[frozenset[str], RuleSetRun] = {}
         self._events_of: dict[frozenset[str], int] = {}
         self._columns: dict[frozenset[str], frozenset[str]] = {}
-        for event, stream, sequence in site:
-            self._learn(event, stream, sequence)
+        for said in self._known.said:
+            self._learn(said)
+
+    @property
+    def foreknown_to(self) -> int:
+        """Up to where the log says something of cameras that is known before its turn; 0: that is all behind."""
+        return self._known.to_position if self._known.to_position > self.position else 0
+
+    def is_at(self, position: int, foreknown_to: int) -> bool:
+        """Whether it stands there and knows what one does that was made there, and knows the log as far."""
+        return self.position == position and foreknown_to in (self.foreknown_to, self._known.read_to)
 
     @property
     def types(self) -> set[str]:
@@ -199,8 +201,8 @@ class Pass:
     def _controlled(self, segment: Segment, batch: EventBatch) -> list[Finding]:
         """What events lead to that say something of cameras or processes."""
         findings = []
-        for number, event in enumerate(events_of(batch)):
-            findings += self._told(event, segment, segment.header.first_sequence + number)
+        for said in site_events(segment, events_of(batch)):
+            findings += self._ended(segment) if isinstance(said.event, ENDS) else self._told(said)
         return sorted(findings, key=lambda each: each.member.service.key)
 
     def _pushed(self, parts: Sequence["_Part"]) -> list[Finding]:
@@ -225,9 +227,9 @@ class Pass:
         """Counts for the rules that ask metres of a segment's events what they could not be told."""
         asking = [each for each in self.members.values() if each.types == types and each.metres.is_asked]
         source = str(part.segment.stream.source)
-        said = [event for event, stream, _ in self._site.values() if stream.split("/")[1] == source] if asking else []
-        is_calibrated = any(isinstance(event, CameraCalibrated) for event in said)
-        in_metres = [event.zone for event in said if isinstance(event, ZoneDefined) and event.units == "metres"]
+        zones = [each.event for each in self._site.values() if each.source == source] if asking else []
+        is_calibrated = self.site.calibration(source) is not None
+        in_metres = [each.zone for each in zones if isinstance(each, ZoneDefined) and each.units == "metres"]
         for member in asking:
             if is_calibrated:
                 member.uncalibrated.pop(source, None)
@@ -314,13 +316,8 @@ class Pass:
 
     # One segment.
 
-    def _told(self, event: EventType, segment: Segment, sequence: int) -> list[Finding]:
-        if isinstance(event, SceneChanged) and not is_move(event):
-            return []
-        if not isinstance(event, ENDS):
-            findings = self._learn(event, str(segment.stream), sequence)
-            word = self._after_moves.get((str(segment.stream), sequence))
-            return findings if word is None else findings + self._learn(*word)
+    def _ended(self, segment: Segment) -> list[Finding]:
+        """What follows from the source's sending no more."""
         ended = str(segment.stream.source)
         self._live = {name: source for name, source in self._live.items() if source != ended}
         findings = []
@@ -328,14 +325,22 @@ class Pass:
             findings += self._findings(rules.source_ended(segment.stream.source), rules)
         return findings
 
-    def _learn(self, event: EventType, stream: str, sequence: int) -> list[Finding]:
+    def _told(self, said: SiteEvent) -> list[Finding]:
+        """Takes in what an event says of a camera, and what is known to hold from there on."""
+        findings, word = self._learn(said), self._known.words.get(said.id)
+        return findings if word is None else findings + self._learn(word)
+
+    def _learn(self, said: SiteEvent) -> list[Finding]:
         """Takes in what an event says of a camera; only the newest word is kept for rules to come."""
-        key = _what(event, stream)
-        self._site.pop(key, None)
-        self._site[key] = (event, stream, sequence)
+        is_news = True
+        with suppress(MatchError):  # rules that need it say so themselves, those to come, too
+            is_news = self.site.learn(said.event, said.stream, said.sequence, epoch=said.epoch)
+        if is_news:
+            self._site.pop(said.about, None)
+            self._site[said.about] = said
         findings = []
         for rules in list(self._sets.values()):
-            rules.learn(event, stream, sequence)
+            rules.learn(said.event, said.stream, said.sequence, epoch=said.epoch)
             findings += self._findings({}, rules)
         return findings
 
@@ -343,8 +348,8 @@ class Pass:
         """The set of the rules that read the same types; a new one knows the cameras."""
         if member.types not in self._sets:
             rules = self._sets[member.types] = RuleSetRun()
-            for event, stream, sequence in self._site.values():
-                rules.learn(event, stream, sequence)
+            for said in self._site.values():
+                rules.learn(said.event, said.stream, said.sequence, epoch=said.epoch)
         return self._sets[member.types]
 
     def _findings(self, outcomes: Outcomes, rules: RuleSetRun, *, is_by_silence: bool = False) -> list[Finding]:
@@ -441,81 +446,6 @@ def _spread(texts: Sequence[str], bounds: Sequence[int]) -> pa.DictionaryArray:
     return pa.DictionaryArray.from_arrays(
         pa.array(np.repeat(of_units, np.diff(bounds))), pa.array(list(numbers), pa.string())
     )
-
-
-def site_at(log: Log, position: int) -> list[SiteEvent]:
-    """What the log says of the cameras when it is read from a position on, in order.
-
-    That is what stands up to there; and of what is first said later, the first word: a zone that was drawn when the
-    footage was already in the log holds for all of it. A calibration that was found while the footage came holds from
-    its turn on, as it did then; and what follows upon a move of the camera never holds before it.
-    """
-    found: list[SiteEvent] = []
-    known: set[tuple[object, ...]] = set()
-    began: dict[str, datetime] = {}
-    for at, (event, stream, sequence) in _said_of_cameras(log):
-        camera, key = _camera(stream), _what(event, stream)
-        if isinstance(event, VideoAdded):
-            began.setdefault(camera, event.started_at)
-        is_of_its_moment = _is_of_its_moment(event, began.get(camera))
-        if at <= position or (key not in known and not is_of_its_moment):
-            found.append((event, stream, sequence))
-        if at <= position and is_move(event):
-            known.discard(key)  # what is said next is the first word of the view that it has now
-        elif at <= position or is_move(event) or not is_of_its_moment:
-            known.add(key)
-    return found
-
-
-def after_moves_of(log: Log) -> dict[tuple[str, int], SiteEvent]:
-    """The first calibration by hand after each move of a camera: it holds for the footage since the move, too."""
-    found: dict[tuple[str, int], SiteEvent] = {}
-    moved: dict[str, tuple[str, int]] = {}
-    for _, (event, stream, sequence) in _said_of_cameras(log):
-        if is_move(event):
-            moved[_camera(stream)] = stream, sequence
-        elif isinstance(event, CameraCalibrated) and event.covariance is None and _camera(stream) in moved:
-            found[moved.pop(_camera(stream))] = event, stream, sequence
-    return found
-
-
-def _said_of_cameras(log: Log) -> Iterator[tuple[int, SiteEvent]]:
-    """All that the log says of the cameras, each with the position of its segment, in order."""
-    names = {str(each.type_name) for each in SITE_TYPES}
-    streams = {head.stream for head in log.streams() if head.stream.type in names}
-    segments = [each for stream in streams for each in log.read_lives(stream)]
-    for segment in sorted(segments, key=lambda each: each.position):
-        for sequence, event in enumerate(_events(segment, log.catalogue), segment.header.first_sequence):
-            if not isinstance(event, SceneChanged) or is_move(event):
-                yield segment.position, (event, str(segment.stream), sequence)
-
-
-def _is_of_its_moment(event: EventType, began: datetime | None) -> bool:
-    """Whether it says nothing of the footage before it: a move of the camera, and what was found as footage came in."""
-    is_found = isinstance(event, CameraCalibrated) and event.covariance is not None
-    return is_move(event) or (is_found and began is not None and event.time > began)
-
-
-def _what(event: EventType, stream: str) -> tuple[object, ...]:
-    """What the event is about: a camera's frames or calibration, or one of its zones or lines."""
-    what: str = event.type_name
-    if isinstance(event, ZoneDefined | ZoneRemoved):
-        what = "zone"
-    elif isinstance(event, SceneChanged):
-        what = CameraCalibrated.type_name
-    return _camera(stream), what, getattr(event, "zone", None)
-
-
-def _camera(stream: str) -> str:
-    """The station and source of the stream."""
-    return stream.rsplit("/", 1)[0]
-
-
-def _events(segment: Segment, catalogue: Catalogue) -> list[EventType]:
-    try:
-        return list(events_of(decode(segment, catalogue)))
-    except UnknownType:
-        return []  # counted and logged where the segment is read in its turn
 
 
 def newest_of(newest_us: Mapping[str, int], types: Collection[str]) -> int:

@@ -29,6 +29,7 @@ from patterns.durations import microseconds
 from patterns.engine.situations import as_microseconds
 from patterns.errors import PatternError, StateError
 from patterns.files.rule import Rule
+from patterns.processor.cameras import known_at
 from patterns.processor.committing import Committer, Overtaken, Work
 from patterns.processor.deploying import (
     RULE_EVENTS,
@@ -45,7 +46,7 @@ from patterns.processor.deploying import (
 from patterns.processor.limits import ProcessorLimits
 from patterns.processor.live import Below, live_source, types_below
 from patterns.processor.members import Finding, Member
-from patterns.processor.passes import Pass, RunOneByOne, after_moves_of, newest_of, site_at
+from patterns.processor.passes import Pass, RunOneByOne, newest_of
 from patterns.processor.saving import (
     Mark,
     mark_name,
@@ -250,7 +251,7 @@ class Processor:
                 self._admit(service)
         # Those that are furthest lead; the others catch up with them.
         self._joining.sort(key=lambda each: each.position)
-        self._main = self._joining.pop() if self._joining else self._pass_at(head)
+        self._main = self._joining.pop() if self._joining else self._pass_at(head, head)
         self._known_to = head
         self._subscription.position = self._main.position
         self._want()
@@ -288,7 +289,9 @@ class Processor:
         if not self._is_restored(member):
             if row.position > service.after:
                 member.known = self._identities(service)
-            rules = self._pass_for(service.after if start is None else start)
+            # What is said of cameras later than this is learnt in its turn, however often the rule begins again.
+            foreknown_to = service.position if self._given is None else self._log.head()
+            rules = self._pass_for(service.after if start is None else start, foreknown_to)
             try:
                 rules.add(member)
             except Exception as error:  # Whatever it is, the processor begins with the others.
@@ -323,7 +326,7 @@ class Processor:
             return False
         if state is None or (state.life != member.mark.life):
             return False
-        rules = self._pass_for(state.position)
+        rules = self._pass_for(state.position, state.foreknown_to)
         try:
             rules.add(member, state)
         except Exception as error:  # What else a state leads to that fits nothing any more: it is of no use.
@@ -350,18 +353,21 @@ class Processor:
                 found |= set(said.data.column("situation").to_pylist())
         return found
 
-    def _pass_for(self, position: int) -> Pass:
-        """The pass at this position, to which a rule may be added."""
-        for rules in (self._main, *self._joining):
-            if rules.position == position:
-                return rules
-        rules = self._pass_at(position)
-        self._joining.append(rules)
-        return rules
+    def _pass_for(self, position: int, foreknown_to: int) -> Pass:
+        """The pass at this position, and with what is known up to the other, to which a rule may be added."""
+        foreknown_to = foreknown_to if foreknown_to > position else 0
+        passes = (self._main, *self._joining)
+        found = next((each for each in passes if each.is_at(position, foreknown_to)), None)
+        if found is None:
+            made = self._pass_at(position, foreknown_to)
+            found = next((each for each in passes if each.is_at(position, made.foreknown_to)), made)
+            if found is made:
+                self._joining.append(made)
+        return found
 
-    def _pass_at(self, position: int) -> Pass:
-        said, after_moves = site_at(self._log, position), after_moves_of(self._log)
-        rules = Pass(position, self._log.catalogue, self._limits, said, after_moves)
+    def _pass_at(self, position: int, foreknown_to: int) -> Pass:
+        known = known_at(self._log, position, foreknown_to)
+        rules = Pass(position, self._log.catalogue, self._limits, known)
         self._plan_save(rules)
         return rules
 
@@ -471,7 +477,11 @@ class Processor:
 
     def _joined(self) -> None:
         """Let the passes that caught up become part of the leading one."""
-        for rules in [each for each in self._joining if each.position == self._main.position or not each.members]:
+
+        def is_as_far(rules: Pass) -> bool:
+            return not rules.members or self._main.is_at(rules.position, rules.foreknown_to)
+
+        for rules in [each for each in self._joining if is_as_far(each)]:
             self._joining.remove(rules)
             self._segments_skipped += rules.segments_skipped
             for member, error in self._main.absorb(rules):

@@ -58,6 +58,7 @@ class SavedState:
         run: What its run remembers.
         newest_us: For each stream the newest time that was let in.
         finish_after_us: When it leaves service, in event time, if it is about to.
+        foreknown_to: Up to where what the log says of cameras is known to it before its turn; 0: that is all behind.
     """
 
     position: int
@@ -65,6 +66,7 @@ class SavedState:
     run: bytes
     newest_us: Mapping[str, int] = field(default_factory=dict)
     finish_after_us: int | None = None
+    foreknown_to: int = 0
 
 
 def mark_name(station: str, rule: str, version: int) -> str:
@@ -97,6 +99,7 @@ def state_bytes(state: SavedState) -> bytes:
         "life": state.life,
         "newest_us": dict(state.newest_us),
         "finish_after_us": state.finish_after_us,
+        "foreknown_to": state.foreknown_to,
     }
     packed = zstandard.ZstdCompressor().compress(json.dumps(header, separators=(",", ":"), ensure_ascii=False).encode())
     return _STATE + struct.pack(">I", len(packed)) + packed + state.run

@@ -4,6 +4,9 @@ A site learns from events in the order in which they stand in the log, so what i
 the log alone. Rows are judged by what is known when they become final; for each version of a zone,
 line or calibration the site remembers from which event time on rows were judged by it, and which
 event said it, so that a match can name what it was judged by.
+
+A calibration is of the view that its camera had at its time. One from before the newest move is of a view that is no
+more, and is left out; of two that are valid the one that was said last counts.
 """
 
 import json
@@ -14,6 +17,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from events import CameraCalibrated, EventType, SceneChanged, VideoAdded, ZoneDefined, ZoneRemoved
+from events.segment import microseconds
 from patterns.errors import MatchError
 from patterns.scene.geometry import FrameSize, Line, Zone
 from patterns.scene.ground import Calibration
@@ -37,12 +41,27 @@ class Version:
         stream: Stream of the event that said it; empty where no event did.
         sequence: The event's sequence there.
         from_us: Rows of this event time and later were judged by it, in microseconds; None: all rows before, too.
+        epoch: The epoch of its station: in each of them sequences begin at 1.
+        time_us: When a calibration begins to be valid, in microseconds; None: nothing says it.
     """
 
     said: Shape | Calibration | None
     stream: str = ""
     sequence: int = 0
     from_us: int | None = None
+    epoch: int = 1
+    time_us: int | None = None
+
+    def comes_after(self, known: "Version") -> bool:
+        """Whether it counts from now on where the other is what is known."""
+        if self.stream != known.stream or not self.stream:
+            return True
+        mine, other = (self.epoch, self.sequence), (known.epoch, known.sequence)
+        if mine == other:
+            return False  # It was known before its turn, and has held since then.
+        if self.time_us is None or known.time_us is None:
+            return True
+        return mine > other or self.time_us < known.time_us
 
 
 @dataclass(slots=True)
@@ -52,10 +71,12 @@ class Site:
     Attributes:
         frame_sizes: For each source, (width, height) in pixels.
         versions: For each source and name (of a zone or line, or `CALIBRATION`) the versions, oldest first.
+        moved_us: For each source when its camera was moved last, in microseconds.
     """
 
     frame_sizes: dict[str, FrameSize] = field(default_factory=dict)
     versions: dict[tuple[str, str], list[Version]] = field(default_factory=dict)
+    moved_us: dict[str, int] = field(default_factory=dict)
 
     @classmethod
     def of(
@@ -75,12 +96,14 @@ class Site:
 
     def copy(self) -> "Site":
         """The same, to change without changing this one."""
-        return Site(dict(self.frame_sizes), {key: list(each) for key, each in self.versions.items()})
+        versions = {key: list(each) for key, each in self.versions.items()}
+        return Site(dict(self.frame_sizes), versions, dict(self.moved_us))
 
     def take(self, other: "Site") -> None:
         """Takes in all that the other knows; where both know something, the other's word counts."""
         self.frame_sizes.update(other.frame_sizes)
         self.versions.update({key: list(each) for key, each in other.versions.items()})
+        self.moved_us.update(other.moved_us)
 
     def shapes(self, name: str, kind: type[Zone] | type[Line]) -> list[Shape]:
         """The zones or lines that bear this shared name now, one for each source that has it."""
@@ -93,7 +116,9 @@ class Site:
         said = versions[-1].said if versions else None
         return said if isinstance(said, Calibration) else None
 
-    def learn(self, event: EventType, stream: str, sequence: int, from_us: int | None = None) -> bool:
+    def learn(
+        self, event: EventType, stream: str, sequence: int, from_us: int | None = None, *, epoch: int = 1
+    ) -> bool:
         """Takes in an event; whether it changed anything that is known. Events of other types change nothing.
 
         Args:
@@ -101,6 +126,7 @@ class Site:
             stream: Its stream, as station/source/type.
             sequence: Its sequence there.
             from_us: Rows before this event time have been judged already; None: none has.
+            epoch: The epoch of the stream's station.
 
         Raises:
             MatchError: The event says no zone, line or calibration.
@@ -112,16 +138,18 @@ class Site:
             return changed
         if isinstance(event, ZoneDefined | ZoneRemoved):
             said = shape_of(event, stream, sequence) if isinstance(event, ZoneDefined) else None
-            self._add((source, event.zone), Version(said, stream, sequence, from_us))
-            return True
+            return self._add((source, event.zone), Version(said, stream, sequence, from_us, epoch))
         if isinstance(event, CameraCalibrated):
-            said_of = calibration_of(event, stream, sequence)
-            self._add((source, CALIBRATION), Version(said_of, stream, sequence, from_us))
-            return True
-        if is_move(event) and self.calibration(source) is not None:
-            self._add((source, CALIBRATION), Version(None, stream, sequence, from_us))
-            return True
-        return False
+            said_of, time_us = calibration_of(event, stream, sequence), microseconds(event.time)
+            if time_us < self.moved_us.get(source, time_us):
+                return False
+            return self._add((source, CALIBRATION), Version(said_of, stream, sequence, from_us, epoch, time_us))
+        if not is_move(event):
+            return False
+        self.moved_us[source] = max(microseconds(event.time), self.moved_us.get(source, microseconds(event.time)))
+        if self.calibration(source) is not None:
+            self._add((source, CALIBRATION), Version(None, stream, sequence, from_us, epoch))
+        return True
 
     def judged_by(self, name: str, sources: Iterable[str], first_us: int, last_us: int) -> list[Version]:
         """The versions, said by events, that rows of these sources and times (both inclusive) were judged by."""
@@ -140,9 +168,10 @@ class Site:
         return {
             "frame_sizes": self.frame_sizes,
             "versions": [
-                [source, name, [[_said_json(each.said), each.stream, each.sequence, each.from_us] for each in versions]]
+                [source, name, [_version_json(each) for each in versions]]
                 for (source, name), versions in self.versions.items()
             ],
+            "moved_us": self.moved_us,
         }
 
     @classmethod
@@ -153,13 +182,14 @@ class Site:
             (source, name): [Version(_said(said), *rest) for said, *rest in each]
             for source, name, each in saved["versions"]
         }
-        return cls(sizes, versions)
+        return cls(sizes, versions, dict(saved.get("moved_us", {})))
 
-    def _add(self, key: tuple[str, str], version: Version) -> None:
+    def _add(self, key: tuple[str, str], version: Version) -> bool:
         versions = self.versions.setdefault(key, [])
-        if versions and (versions[-1].stream, versions[-1].sequence) == (version.stream, version.sequence):
-            return  # It was known before its turn, and has held since then.
+        if versions and not version.comes_after(versions[-1]):
+            return False
         self.versions[key] = [*versions, version][-VERSIONS_MOST:]
+        return True
 
 
 def is_move(event: EventType) -> bool:
@@ -203,6 +233,10 @@ def _first(error: ValueError) -> str:
         if isinstance(error, ValidationError)
         else str(error)
     )
+
+
+def _version_json(each: Version) -> list[Any]:
+    return [_said_json(each.said), each.stream, each.sequence, each.from_us, each.epoch, each.time_us]
 
 
 def _said_json(said: Shape | Calibration | None) -> Any:

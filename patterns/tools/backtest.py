@@ -7,22 +7,21 @@ segments. What depends on the clock on the wall does not happen: no source falls
 
 import json
 from collections.abc import Callable, Iterable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
 
-from events import Catalogue, Segment, SituationDetected, UnknownType, decode, events_of
+from events import Catalogue, Segment, SituationDetected
 from patterns.binding.bound import BoundRule
 from patterns.engine.ruleset import RuleStatus
 from patterns.engine.running import Outcome
-from patterns.errors import MatchError
+from patterns.processor.cameras import Known
 from patterns.processor.deploying import Service
 from patterns.processor.limits import ProcessorLimits
 from patterns.processor.members import Finding, Member
-from patterns.processor.passes import CONTROL, AfterMoves, Pass, SiteEvent
+from patterns.processor.passes import CONTROL, Pass
 from patterns.processor.saving import Mark
-from patterns.scene.site import SITE_TYPES
+from patterns.scene.site import Site
 
 CONTROL_TYPES = tuple(str(each.type_name) for each in CONTROL)
 """What tells a rule of the cameras, and which sources have ended."""
@@ -38,8 +37,7 @@ class Backtest:
         catalogue: Catalogue,
         *,
         after: int = 0,
-        site: Iterable[SiteEvent] = (),
-        after_moves: AfterMoves | None = None,
+        cameras: Known | None = None,
         limits: ProcessorLimits | None = None,
         live: Callable[[int], str | None] = lambda position: None,
     ) -> None:
@@ -49,24 +47,23 @@ class Backtest:
             bound: The rule.
             catalogue: The event types there are.
             after: The position behind which the rule begins.
-            site: What the log up to there says of the cameras, in order.
-            after_moves: What is learnt with a move of a camera: see `patterns.processor.passes.after_moves_of`.
+            cameras: What is known of the cameras there: see `patterns.processor.cameras.known_at`; None: nothing.
             limits: Those of the processor.
             live: A source that may still lead to situations that the rule reads, as the log says it up to a position.
         """
-        self.site = bound.site.copy()
-        """All that the log has said of the cameras so far."""
-        said = list(site)
         rule = bound.rule
         service = Service(rule.rule, rule.version, rule.hash, "", _NEVER, after, after)
         self._member = Member(service, bound, Mark(after))
-        self._pass = Pass(after, catalogue, limits or ProcessorLimits(), said, after_moves)
+        self._pass = Pass(after, catalogue, limits or ProcessorLimits(), cameras)
         self._pass.add(self._member)
-        self._catalogue = catalogue
-        self._after_moves = after_moves or {}
         self._live = live
-        for each in said:
-            self._learn(*each)
+
+    @property
+    def site(self) -> Site:
+        """What is known of the cameras by now."""
+        site = self._member.bound.site.copy()
+        site.take(self._pass.site)
+        return site
 
     @property
     def row_types(self) -> list[str]:
@@ -89,10 +86,7 @@ class Backtest:
         Raises:
             PatternError: The rule cannot go on; online it would be set aside here.
         """
-        outcome = self._told(self._pass.take([segment]))
-        if segment.stream.type in _SITE_TYPES:
-            self._learn_all(segment)
-        return outcome
+        return self._told(self._pass.take([segment]))
 
     def settle(self) -> Outcome:
         """What follows from the log's holding no more."""
@@ -105,22 +99,6 @@ class Backtest:
         if self._member.failure is not None:
             raise self._member.failure
         return outcome
-
-    def _learn_all(self, segment: Segment) -> None:
-        with suppress(UnknownType):
-            events = events_of(decode(segment, self._catalogue))
-            for sequence, event in enumerate(events, segment.header.first_sequence):
-                self._learn(event, str(segment.stream), sequence)
-                word = self._after_moves.get((str(segment.stream), sequence))
-                if word is not None:
-                    self._learn(*word)
-
-    def _learn(self, event: Any, stream: str, sequence: int) -> None:
-        with suppress(MatchError):  # a rule that needs it has raised
-            self.site.learn(event, stream, sequence)
-
-
-_SITE_TYPES = frozenset(str(each.type_name) for each in SITE_TYPES)
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,7 @@ from patterns.binding.binder import bind
 from patterns.files.loading import parse_rule
 from patterns.files.rule import Rule
 from patterns.processor import Processor, deploy, drafts_of, readable_by, schemas, situation_of
-from patterns.processor.passes import site_at
+from patterns.processor.cameras import known_at
 from patterns.tools.backtest import CONTROL_TYPES, Backtest, paired
 from store import Log
 from tests.conftest import MakeLog
@@ -89,7 +89,7 @@ def test_a_rule_that_begins_behind_a_position_knows_the_cameras_from_before_it(m
     end(log, "gate")
 
     assert sum(draft.event_count for draft in backtested(log, rule())) == 2
-    assert sum(draft.event_count for draft in backtested(log, rule(), after=2, site=site_at(log, 2))) == 1
+    assert sum(draft.event_count for draft in backtested(log, rule(), after=2, cameras=known_at(log, 2))) == 1
 
 
 def found(log: Log, tried: Rule) -> list[SituationDetected]:

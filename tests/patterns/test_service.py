@@ -15,6 +15,7 @@ from patterns.engine.ruleset import RuleSetRun
 from patterns.engine.situations import Narrator
 from patterns.errors import MatchError, PatternError
 from patterns.files.expanding import expand
+from patterns.files.rule import Rule
 from patterns.limits import Limits
 from patterns.processor import (
     Processor,
@@ -26,8 +27,9 @@ from patterns.processor import (
     stored_mark,
     stored_state,
 )
+from patterns.processor.cameras import known_at
 from patterns.processor.members import Pace
-from patterns.processor.passes import UNCALIBRATED, after_moves_of, site_at
+from patterns.processor.passes import UNCALIBRATED
 from store import Checkpoint, Log, LogUnavailable, Transaction
 from tests.conftest import MakeLog
 from tests.events.examples import camera_calibrated
@@ -550,9 +552,9 @@ def test_a_calibration_that_was_found_while_footage_came_does_not_hold_before_it
     ]:
         say(log, source, video)
         say(log, source, event)
-    before = {stream.split("/")[1] for event, stream, _ in site_at(log, 0) if not isinstance(event, VideoAdded)}
+    before = {each.source for each in known_at(log, 0).said if not isinstance(each.event, VideoAdded)}
     assert before == {"afterwards", "by-hand"}
-    behind = [stream.split("/")[1] for _, stream, _ in site_at(log, log.head()) if "video" not in stream]
+    behind = [each.source for each in known_at(log, log.head()).said if not isinstance(each.event, VideoAdded)]
     assert behind == ["online", "afterwards", "by-hand", "moved", "moved"]
 
 
@@ -566,11 +568,66 @@ def test_a_calibration_by_hand_holds_for_the_footage_since_the_camera_was_moved_
     at_move = log.head()
     for event in (of_tracks, second, second):
         say(log, "gate", event)
-    assert [event for event, _, _ in site_at(log, 0)][1:] == [first]
-    assert [event for event, _, _ in site_at(log, at_move)][1:] == [of_tracks, first, moved, second]
-    assert after_moves_of(log) == {
-        (f"{STATION}/gate/scene_changed", 1): (second, f"{STATION}/gate/camera_calibrated", 4)
-    }
+    assert [each.event for each in known_at(log, 0).said][1:] == [first]
+    assert [each.event for each in known_at(log, at_move).said][1:] == [of_tracks, first, moved, second]
+    told = {moment: (word.event, word.sequence) for moment, word in known_at(log, 0).words.items()}
+    assert told == {(f"{STATION}/gate/scene_changed", 1, 1): (second, 4)}
+    assert known_at(log, 0, at_move).words == known_at(log, at_move).words == {}
+
+
+def in_metres(pattern: str, define: str) -> Rule:
+    return parse_rule(
+        "rule: metres\nversion: 1\ntitle: t\nseverity: info\ntime: {lateness: 0 s}\nmatch: |\n"
+        "  SELECT * FROM track_point MATCH_RECOGNIZE (PARTITION BY source ORDER BY time, sequence\n"
+        f"    MEASURES LAST(A.time) AS at PATTERN ({pattern}) DEFINE {define})\n"
+    )
+
+
+def moved_at(second: int) -> SceneChanged:
+    time = T0 + timedelta(seconds=second)
+    return SceneChanged(time=time, cause="moved", changed_share=1.0, dx=None, dy=None)
+
+
+@pytest.mark.parametrize("is_killed", [False, True])
+def test_a_kill_does_not_tell_a_rule_what_was_said_of_the_camera_later(log: Log, is_killed: bool) -> None:
+    deployed(log, in_metres("A C B", "A AS ground_x(x, y) > -1 AND x = 7, C AS x = 1, B AS x = 8"))
+    add_video(log, "gate")
+    processor = Processor(log, STATION)
+    processor.catch_up()
+    say(log, "gate", moved_at(1))
+    for second, x in enumerate((7, 7, 1), 2):
+        say(log, "gate", point(1, second, x))
+    while not processor.step().is_caught_up:
+        pass
+    say(log, "gate", camera_calibrated(time=T0 + timedelta(seconds=4)))
+    if is_killed:
+        processor = Processor(log, STATION)
+    for second, x in enumerate((8, 8, 7, 1, 8, 1), 5):
+        say(log, "gate", point(1, second, x))
+    processor.catch_up()
+    assert [(each.began_at - T0).seconds for each in situations(log)] == [7]
+
+
+@pytest.mark.parametrize("kill_at", [None, 1, 2, 3, 4])
+def test_a_rule_over_the_past_that_is_killed_goes_on_with_what_was_known_when_it_began(
+    log: Log, kill_at: int | None
+) -> None:
+    add_video(log, "gate")
+    for second in (0, 2, 4):
+        say(log, "gate", point(1, second, 7), point(1, second + 0.5, 1))
+        if second < 4:
+            say(log, "gate", moved_at(second + 1))
+    say(log, "gate", camera_calibrated(time=T0 + timedelta(seconds=4)))
+    deployed(log, in_metres("A", "A AS x = 7 AND ground_x(x, y) > -1"), after=0)
+    say(log, "gate", camera_calibrated(time=T0 + timedelta(seconds=2)))  # nobody knew it when the rule began
+    processor = Processor(log, STATION, limits=saved_often(segments=1))
+    for step in range(6):
+        if step == kill_at:
+            processor = Processor(log, STATION, limits=saved_often(segments=1))
+        processor.step()
+    say(log, "gate", point(1, 6, 7))
+    processor.catch_up()
+    assert [(each.began_at - T0).seconds for each in situations(log)] == [4]
 
 
 def _breaks_for(name: str, original: Any) -> Any:

@@ -7,16 +7,31 @@ import numpy as np
 import pytest
 from psycopg.rows import dict_row
 
-from events import CameraCalibrated, EventType, Producer, SceneChanged, StreamName, VideoAdded, batch_of, encode
+from events import (
+    CameraCalibrated,
+    Catalogue,
+    EventType,
+    Producer,
+    SceneChanged,
+    StreamName,
+    VideoAdded,
+    batch_of,
+    encode,
+)
 from extractors.calibration import Camera
 from patterns.binding.binder import bind
 from patterns.files.loading import parse_rule
 from patterns.processor import ProcessorLimits, schemas
+from patterns.scene.ground import Calibration
 from store import Log, Projector
+from store.epochs import begin_epoch
+from tests.conftest import MakeLog
 from tests.events.examples import camera_calibrated, track_point
 from tests.patterns.walkers import STATION
 from vian.backtesting import Span, backtested
+from vian.calibrating import standing_calibration
 from vian.querying import Scope, query
+from vian.zoning import calibrate
 
 START = datetime(2026, 1, 1, 12, tzinfo=UTC)
 PRODUCER = Producer("motion", "1", bytes(32))
@@ -199,6 +214,128 @@ def test_a_rule_over_the_past_has_the_metres_that_queries_have(log: Log, said: l
     assert [(each.measures["at"], each.measures["east"]) for each in matches] == [
         (row["time"], row["ground_x"]) for row in rows if row["ground_x"] is not None
     ]
+
+
+def times(log: Log) -> tuple[str, str]:
+    """Of each point that lies at x = 50, in order of time: a rule's metres over the past, and those of queries."""
+    rule = parse_rule(
+        "rule: where\nversion: 1\ntitle: where\nseverity: info\ntime: {lateness: 0 s}\nmatch: |\n"
+        "  SELECT * FROM track_point MATCH_RECOGNIZE (PARTITION BY source ORDER BY time, sequence\n"
+        "    MEASURES LAST(A.time) AS at, ground_x(LAST(A.x), LAST(A.y)) AS east\n"
+        "    PATTERN (A) DEFINE A AS x = 50 AND ground_x(x, y) > -1)\n"
+    )
+    bound = bind(rule, schemas(log.catalogue))
+    matches = backtested(log, bound, Span(), ProcessorLimits(), lambda position: None).matches
+    east = {each.measures["at"]: each.measures["east"] for each in matches}
+    rows = sorted((row for row in metres(log) if row["x"] == 50), key=lambda row: row["time"])
+    asked = ([east.get(row["time"]) for row in rows], [row["ground_x"] for row in rows])
+    ruled, queried = ("".join("." if each is None else f"{each:.0f}"[-1] for each in every) for every in asked)
+    return ruled, queried
+
+
+def pass_by(log: Log, *seconds: int) -> None:
+    """Points at x = 50, each final before anything else is said."""
+    for second in seconds:
+        say(log, "gate", point(second, 50, 70), track_point(time=at(second) + timedelta(seconds=0.5), x=-1.0))
+
+
+def calibrate_by_hand(log: Log, scale: float = 0.1) -> int:
+    """As people do when all the footage so far is long past."""
+    matrix = Calibration(((scale, 0.0, 0.0), (0.0, scale, 0.0), (0.0, 0.0, 1.0)), (100, 80))
+    return calibrate(log, STATION, "gate", matrix, 0.0, at(3600))
+
+
+def test_a_calibration_by_hand_is_of_the_footage_that_there_was(log: Log) -> None:
+    say(log, "gate", video(0, (100, 80)))
+    pass_by(log, 0, 1, 2)
+    named = calibrate_by_hand(log)
+    pass_by(log, 10)
+    say(log, "gate", change(11))
+    pass_by(log, 12, 13)
+    assert times(log) == ("5555..", "5555..")
+    through = query(log, "select * from track_ground where x = 50 order by time", Scope(calibration=named)).to_pylist()
+    assert [row["ground_x"] for row in through] == [5.0, 5.0, 5.0, 5.0, None, None]
+    calibrate_by_hand(log, 0.12)
+    assert times(log) == ("555566", "555566")
+
+
+def test_a_calibration_by_hand_is_of_its_video_or_of_now_where_nothing_has_passed(log: Log) -> None:
+    calibrate_by_hand(log)
+    say(log, "gate", video(5, (100, 80)))
+    calibrate_by_hand(log)
+    say(log, "gate", change(7))
+    calibrate_by_hand(log)
+    found = query(log, "select time from camera_calibrated order by position").to_pylist()
+    assert [row["time"] for row in found] == [at(3600), at(5), at(7)]
+
+
+def test_a_point_that_is_final_only_after_a_move_has_no_metres_of_the_next_view(log: Log) -> None:
+    say(log, "gate", video(0, (100, 80)))
+    for second in (0, 1, 2):
+        say(log, "gate", point(second, 50, 70))
+    say(log, "gate", change(3))
+    pass_by(log, 4, 5)
+    calibrate_by_hand(log)
+    assert times(log) == ("...55", "...55")
+
+
+NARROW, WIDE = (Camera(focal, 0.6, 0.0, 5.0, 100, 80) for focal in (90.0, 45.0))
+
+
+@pytest.mark.parametrize("cause", ["moved", "unknown"])
+def test_what_is_found_afterwards_of_each_view_holds_from_its_beginning(log: Log, cause: str) -> None:
+    say(log, "gate", video(0, (100, 80)))
+    pass_by(log, 1)
+    say(log, "gate", found(1, WIDE))
+    pass_by(log, 2)
+    say(log, "gate", change(3, cause))
+    pass_by(log, 4, 5)
+    say(log, "gate", found(5, WIDE))
+    pass_by(log, 6)
+    first, second = (rescaled(found(second, NARROW), scale) for second, scale in ((0, 0.03), (3, 0.07)))
+    say(log, "gate", first, second)
+    assert times(log) == ("22444", "22444")
+
+
+def rescaled(said: CameraCalibrated, scale: float) -> CameraCalibrated:
+    """The same, of a ground that can be told from another by one figure."""
+    nothing = dict.fromkeys(("focal_px", "pitch_rad", "roll_rad", "height_m"))
+    return said.model_copy(update={"homography": f"[[{scale}, 0, 0], [0, {scale}, 0], [0, 0, 1]]", **nothing})
+
+
+def test_what_is_found_of_a_view_that_is_over_is_not_of_the_next(log: Log) -> None:
+    say(log, "gate", video(0, (100, 80)))
+    pass_by(log, 1)
+    say(log, "gate", change(2))
+    pass_by(log, 3)
+    say(log, "gate", found(0, NARROW))
+    pass_by(log, 4)
+    assert standing_calibration(log, STATION, "gate") is None
+    assert times(log) == ("0..", "0..")
+    say(log, "gate", found(2, NARROW), found(0, WIDE))
+    pass_by(log, 5)
+    assert standing_calibration(log, STATION, "gate") == found(2, NARROW)
+    assert times(log) == ("0000", "0000")
+
+
+def test_epochs_begin_their_sequences_anew_and_are_not_taken_for_each_other(make_log: MakeLog) -> None:
+    first = make_log()
+    say(first, "gate", video(0, (100, 80)))
+    say(first, "gate", given(0, 0.1))
+    pass_by(first, 1)
+    say(first, "gate", change(2))
+    pass_by(first, 3)
+    say(first, "gate", given(4, 0.02))
+    dsn = first.dsn
+    first.close()
+    begin_epoch(dsn, 2)
+    with Log(dsn, Catalogue.shipped()) as second:
+        say(second, "gate", video(20, (100, 80)))
+        say(second, "gate", given(20, 0.06))
+        pass_by(second, 21)
+        say(second, "gate", change(22))
+        pass_by(second, 23)
+        assert times(second) == ("513.", "513.")
 
 
 def _happening(random: np.random.Generator) -> EventType:

@@ -90,8 +90,8 @@ def _site(log: Log) -> Site:
     site = Site()
     names = [each.type_name for each in SITE_TYPES]
     for segment in log.read_all(types=names):
-        for number, event in enumerate(events_of(decode(segment, log.catalogue))):
-            site.learn(event, str(segment.stream), segment.header.first_sequence + number)
+        for sequence, event in enumerate(events_of(decode(segment, log.catalogue)), segment.header.first_sequence):
+            site.learn(event, str(segment.stream), sequence, epoch=segment.header.epoch)
     return site
 
 

@@ -184,7 +184,8 @@ def calibrate_source(
         output.note(doubt)
     output.result(values | {"position": position}, f"{source} is calibrated from {len(read.points)} points; {met}")
     output.note(
-        "It holds from now on, and for earlier footage that none was valid for, back to the camera's last move. "
+        "It is of the view of the newest footage: it holds from there on and, where none was valid before, back to the "
+        "camera's last move. "
         f'All of the view: vian query "SELECT * FROM track_ground" --source {source} --calibration {position}'
     )
 

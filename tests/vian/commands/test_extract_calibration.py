@@ -200,6 +200,20 @@ def test_a_calibration_ends_where_the_camera_is_moved_and_what_is_said_later_of_
     assert [row["x"] for row in rows(log, asked)] == [3.0, 3.0, 3.0, 2.0, 2.0, 2.0]
 
 
+def test_what_is_found_of_a_view_that_is_over_is_recorded_and_not_told_as_what_stands(
+    calibrate: Calibrate, log: Log
+) -> None:
+    add_video(log)
+    walk(log, Camera(700.0, 0.4, 0.05, 5.0, 768, 576))
+    moved: dict[str, Any] = {"cause": "moved", "changed_share": 1.0, "dx": None, "dy": None}
+    say(log, SceneChanged(time=START + timedelta(minutes=1), **moved))
+    for appended in (1, 0):
+        told = json.loads(calibrate("--source", "cam-01", "--json").out)
+        assert (told["calibrated"], told["appended"]) == (False, appended)
+        assert "got 0" in told["reason"]
+    assert [row["time"] for row in rows(log, "select time from camera_calibrated")] == [START]
+
+
 def test_points_are_scaled_from_the_size_that_their_frames_had(log: Log) -> None:
     add_video(log)
     say(log, camera_calibrated(time=START, homography="[[1, 0, 0], [0, 1, 0], [0, 0, 1]]", width=768, height=576))
