@@ -64,13 +64,14 @@ class Calibrating:
 
 
 def calibrate_from_tracks(
-    log: Log, station: str, source: str, config: CalibrationConfig, scale: Scale | None
+    log: Log, station: str, source: str, config: CalibrationConfig, scale: Scale | None, *, is_replacing: bool = False
 ) -> Calibrating:
     """Read the source's track points and record the calibrations that follow.
 
     Raises:
         InvalidName: The station or the source cannot be one.
-        WorldFailed: The log has no track points or no video of the source, or another process is at it.
+        WorldFailed: The log has no track points or no video of the source, another process is at it, or they would
+            replace one by hand and that is not wanted.
     """
     station_name(station), source_name(source)
     size = frame_size_of(log, station, source)
@@ -93,6 +94,12 @@ def calibrate_from_tracks(
         stream = StreamName.of(station, source, CameraCalibrated.type_name)
         said = [event for event, _ in Said(log, station, source).every(CameraCalibrated)]
         new = found if said[len(said) - len(found) :] != found else []
+        standing = standing_calibration(log, station, source)
+        if new and standing is not None and standing.covariance is None and not is_replacing:
+            raise WorldFailed(
+                f"{source} has a calibration by hand, which what its tracks say would replace; nothing was recorded. "
+                f"Next: vian extract calibration --source {source}{station_option(station)} --replace, if it shall"
+            )
         if new:
             producer = Producer(NAME, VERSION, config.config_hash)
             log.append([encode(stream, batch_of(new), producer)], [log.stream_head(stream).sequence])

@@ -24,6 +24,8 @@ HEIGHT_UNKNOWN = 10.0
 """Standard deviation of the logarithm of a camera's height before anything is known of it."""
 STEPS = 8
 """Gauss-Newton steps; the observations are nearly linear in the state, and two or three settle it."""
+CONTRADICTION = 5.0
+"""Standard deviations by which what is known may be off, tracks included, before one of it must be wrong."""
 DIFFERENCE = 1e-6
 """Step of numeric derivatives, of order-one values."""
 
@@ -101,6 +103,13 @@ def estimate(
         state = state - np.linalg.solve(information, jacobian.T @ residuals + prior @ (state - start))
     if not np.isfinite(state).all() or abs(state[TILT]) > math.pi / 2 or abs(state[ROLL]) > math.pi / 2:
         raise NotDecided("what is known of the camera contradicts its tracks: no camera explains both")
+    residuals = np.concatenate([each(state) for each in observed])
+    off = math.sqrt(residuals @ residuals + (state - start) @ prior @ (state - start))
+    if not off <= CONTRADICTION:
+        raise NotDecided(
+            f"what was given of the camera contradicts its tracks by {off:.0f} standard deviations, wanted at most "
+            f"{CONTRADICTION:g}: a height or length of another unit or place, perhaps"
+        )
     places = np.ix_([FOCAL, TILT, ROLL, HEIGHT], [FOCAL, TILT, ROLL, HEIGHT])
     person_m = math.exp(state[SIZE] + state[HEIGHT])
     # A height is off by what its two edges are.

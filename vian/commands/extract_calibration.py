@@ -43,6 +43,9 @@ def calibration(
     camera_height_m: CameraHeightM = None,
     length: Length = None,
     person_height_m: PersonHeightM = None,
+    is_replacing: Annotated[
+        bool, typer.Option("--replace", help="Let it replace a calibration by hand, which stands otherwise.")
+    ] = False,
     data_dir: options.DataDir = None,
     dsn: options.Dsn = None,
     station: options.Station = None,
@@ -53,7 +56,7 @@ def calibration(
     settings = settings_for(data_dir, dsn, station=station)
     with opened(settings, data_dir=data_dir) as log:
         config = config_for(log, settings.station, source)
-        done = calibrate_from_tracks(log, settings.station, source, config, scale)
+        done = calibrate_from_tracks(log, settings.station, source, config, scale, is_replacing=is_replacing)
         Projector(log).catch_up()
     _report(Output(is_json=as_json), source, done, station_option(settings.station))
 

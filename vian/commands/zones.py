@@ -1,6 +1,7 @@
 """`vian zones`: zones, lines and calibrations that rules share, each change an event of its source."""
 
-from collections.abc import Collection
+import math
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Annotated, Any, get_args
 
@@ -18,6 +19,7 @@ from vian.options import opened, settings_for
 from vian.output import Output
 from vian.settings import station_option
 from vian.zoning import (
+    GroundPoint,
     Standing,
     calibrate,
     calibrated,
@@ -34,6 +36,8 @@ from vian.zoning import (
 
 app = typer.Typer(help="Draw zones and lines that rules share by name, and calibrate cameras.", no_args_is_help=True)
 
+FIT_SHARE = 0.02
+"""Root mean square by which known points may miss each other, of their extent: more is a slip, or no plane."""
 ZoneName = Annotated[str, typer.Argument(metavar="NAME", help="Name of the zone or line.")]
 Source = Annotated[str, typer.Option("--source", help="The source that it belongs to.")]
 Author = Annotated[str | None, typer.Option("--author", help="Who makes the change.")]
@@ -182,12 +186,23 @@ def calibrate_source(
     output = Output(is_json=as_json)
     if doubt is not None:
         output.note(doubt)
+    if rms_m > FIT_SHARE * _extent(read.points):
+        output.note(
+            f"warning: the points miss each other by {rms_m:.3f} m: one of them is wrong, or the ground is no plane. "
+            f"Next: correct {file} and calibrate again; the newest counts"
+        )
     output.result(values | {"position": position}, f"{source} is calibrated from {len(read.points)} points; {met}")
     output.note(
         "It is of the view of the newest footage: it holds from there on and, where none was valid before, back to the "
         "camera's last move. "
         f'All of the view: vian query "SELECT * FROM track_ground" --source {source} --calibration {position}'
     )
+
+
+def _extent(points: Sequence[GroundPoint]) -> float:
+    """Diagonal of the rectangle that holds the points on the ground, m."""
+    east, north = zip(*(point.m for point in points), strict=True)
+    return math.hypot(max(east) - min(east), max(north) - min(north))
 
 
 def _unfilmed(log: Log, station: str, source: str) -> str | None:

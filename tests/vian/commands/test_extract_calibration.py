@@ -248,6 +248,29 @@ def test_too_little_calibrates_nothing_and_says_why(calibrate: Calibrate, log: L
     assert rows(log, "select * from camera_calibrated") == []
 
 
+def test_what_was_given_and_contradicts_the_tracks_gives_no_camera(calibrate: Calibrate, log: Log) -> None:
+    add_video(log)
+    walk(log, Camera(700.0, 0.4, 0.05, 5.0, 768, 576))
+    for slip in (("--camera-height-m", "50"), ("--length", "200,400,500,420,7300")):
+        ran = calibrate("--source", "cam-01", *slip)
+        assert ran.code == 0, ran.err
+        assert "cam-01 is not calibrated: no camera follows from 9 tracks" in ran.out
+        assert "contradicts its tracks" in ran.out
+    assert rows(log, "select * from camera_calibrated") == []
+
+
+def test_a_calibration_by_hand_is_replaced_where_that_is_wanted_alone(calibrate: Calibrate, log: Log) -> None:
+    add_video(log)
+    walk(log, Camera(700.0, 0.4, 0.05, 5.0, 768, 576))
+    say(log, camera_calibrated(time=START, method="points", covariance=None, width=768, height=576))
+    ran = calibrate("--source", "cam-01")
+    assert (ran.code, "cam-01 has a calibration by hand" in ran.words) == (1, True), ran.words
+    assert f"Next: vian extract calibration --source cam-01 --station {STATION} --replace" in ran.words
+    assert len(rows(log, "select * from camera_calibrated")) == 1
+    assert calibrate("--source", "cam-01", "--replace").code == 0
+    assert len(rows(log, "select * from camera_calibrated")) > 1
+
+
 @pytest.mark.parametrize(
     "arguments,message",
     [

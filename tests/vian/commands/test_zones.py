@@ -158,6 +158,16 @@ def test_a_camera_is_calibrated_from_points(zones, log: Log, tmp_path: Path) -> 
     assert matrix @ [450, 50, 1] / (matrix @ [450, 50, 1])[2] == pytest.approx([45, 5, 1])
 
 
+@pytest.mark.parametrize("north, is_warned", [(4.0, False), (9.0, True)])
+def test_points_that_miss_each_other_are_told(zones, tmp_path: Path, north: float, is_warned: bool) -> None:
+    corners = [(0, 0, 10.0), (900, 0, 10.0), (900, 80, 2.0), (0, 80, 2.0), (450, 60, north)]
+    points = "".join(f"  - {{px: [{x}, {y}], m: [{x / 10}, {m}]}}\n" for x, y, m in corners)
+    (tmp_path / "points.yaml").write_text(f"frame: [900, 100]\npoints:\n{points}")
+    ran = zones("calibrate", "cam-01", tmp_path / "points.yaml")
+    assert ran.code == 0, ran.err
+    assert ("warning: the points miss each other by" in ran.words) == is_warned
+
+
 @pytest.mark.parametrize(
     "text,message",
     [
