@@ -608,9 +608,11 @@ def test_a_kill_does_not_tell_a_rule_what_was_said_of_the_camera_later(log: Log,
     assert [(each.began_at - T0).seconds for each in situations(log)] == [7]
 
 
-@pytest.mark.parametrize("kill_at", [None, 1, 2, 3, 4])
+@pytest.mark.parametrize(
+    "kill_at, is_given", [(None, False), (1, False), (2, False), (3, False), (4, False), (None, True), (2, True)]
+)
 def test_a_rule_over_the_past_that_is_killed_goes_on_with_what_was_known_when_it_began(
-    log: Log, kill_at: int | None
+    log: Log, kill_at: int | None, is_given: bool
 ) -> None:
     add_video(log, "gate")
     for second in (0, 2, 4):
@@ -618,16 +620,32 @@ def test_a_rule_over_the_past_that_is_killed_goes_on_with_what_was_known_when_it
         if second < 4:
             say(log, "gate", moved_at(second + 1))
     say(log, "gate", camera_calibrated(time=T0 + timedelta(seconds=4)))
-    deployed(log, in_metres("A", "A AS x = 7 AND ground_x(x, y) > -1"), after=0)
+    in_service = in_metres("A", "A AS x = 7 AND ground_x(x, y) > -1")
+    deployed(log, in_service, after=0)
     say(log, "gate", camera_calibrated(time=T0 + timedelta(seconds=2)))  # nobody knew it when the rule began
-    processor = Processor(log, STATION, limits=saved_often(segments=1))
+    rules = [in_service] if is_given else None
+    processor = Processor(log, STATION, rules, limits=saved_often(segments=1))
     for step in range(6):
         if step == kill_at:
-            processor = Processor(log, STATION, limits=saved_often(segments=1))
+            processor = Processor(log, STATION, rules, limits=saved_often(segments=1))
         processor.step()
     say(log, "gate", point(1, 6, 7))
     processor.catch_up()
     assert [(each.began_at - T0).seconds for each in situations(log)] == [4]
+
+
+def test_a_rule_that_is_given_and_begins_again_knows_what_was_known_when_its_processor_was_made(log: Log) -> None:
+    add_video(log, "gate")
+    for second, x in enumerate((7, 80, 1)):
+        say(log, "gate", point(1, second * 30, x))
+    given = in_metres("A", "A AS x = 7 AND ground_x(x, y) > -1")
+    failing = rule("failing", skip="SKIP TO FIRST outside")  # for which all are run again, one by one
+    processor = Processor(log, STATION, [given, failing])
+    say(log, "gate", camera_calibrated(time=T0))
+    say(log, "gate", point(1, 70, 7), point(1, 90, 1))
+    processor.catch_up()
+    assert list(processor.failures) == ["failing"]
+    assert [(each.began_at - T0).seconds for each in situations(log)] == [70]
 
 
 def _breaks_for(name: str, original: Any) -> Any:
