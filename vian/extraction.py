@@ -548,9 +548,10 @@ def _given_up(
 
 
 def _left_lost(job: Job, position: int) -> SceneChanged | None:
-    """The loss of its view behind which a process that began there said nothing that it can have seen only later.
+    """The loss of its view behind which a process that began there saw nobody any more.
 
-    Nobody remembers that view any more; in the dark it is still there, as a rule.
+    Nobody remembers that view; in the dark it is still there, as a rule. Where it came back and nobody passed, metres
+    end without need: wrong ones would be worse.
     """
     newest = job.said.newest(SceneChanged)
     if newest is None or newest[1] < position or newest[0].cause != "unknown":

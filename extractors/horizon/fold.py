@@ -141,8 +141,7 @@ class Horizon:
         for number, (x1, y1, x2, y2), sure in zip(*(column[whole] for column in columns), strict=True):
             path = self._open.setdefault(int(number), Path(time_us))
             path.last_us = time_us
-            path.add((time_us / 1e6, (x1 + x2) / 2, y2, x2 - x1, y2 - y1, sure), self._config)
-            self._fresh += 1
+            self._fresh += path.add((time_us / 1e6, (x1 + x2) / 2, y2, x2 - x1, y2 - y1, sure), self._config)
 
     def _close_gone(self, time_us: int) -> None:
         gone_us = time_us - round(self._config.gone_s * 1e6)

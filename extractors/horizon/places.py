@@ -84,20 +84,22 @@ class Path:
     stride: float = 1.0
     """length of a place, in units of the configured one"""
     points: int = 0
-    """how many were taken in"""
+    """how many were taken in and not left out"""
 
-    def add(self, point: Row, config: HorizonConfig) -> None:
-        """Take in one box: `time (s), x, y, width, height (px), confidence`."""
+    def add(self, point: Row, config: HorizonConfig) -> bool:
+        """Take in one box: `time (s), x, y, width, height (px), confidence`; False where it is left out."""
         _, x, y, *_ = point
-        self.points += 1
         if self.here:
             _, x0, y0, _, height0, _ = self.here[0]
             if (x - x0) ** 2 + (y - y0) ** 2 > (config.stride * self.stride * height0) ** 2:
                 self.places.append(_median(self.here))
                 self.here = []
                 self._thin(config)
-        if len(self.here) < config.place_points_max:
+        is_kept = len(self.here) < config.place_points_max
+        if is_kept:
             self.here.append(point)
+            self.points += 1
+        return is_kept
 
     def rows(self) -> Floats:
         """All places, the open one included: `time (s), x, y, width, height (px), confidence, points`, `(n, 7)`."""

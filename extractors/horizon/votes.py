@@ -26,7 +26,7 @@ class Vote:
 
 
 def vote_of(rows: Floats, config: HorizonConfig) -> Vote | None:
-    """The vote of a track's places `(n, 6)` (see `places.Path.rows`); None where its height does not change clearly."""
+    """The vote of a track's places `(n, 7)` (see `places.Path.rows`); None where its height does not change clearly."""
     if len(rows) < config.vote_places_min:
         return None
     feet_xy, heights = rows[:, 1:3], rows[:, 4]

@@ -43,8 +43,8 @@ class Grain:
         self._last: Image | None = None
         self._since_s = LOOK_S
         self._side = 1
-        self._wanted, self._looks = 1, 0
-        """another side, and how many looks in a row asked for it"""
+        self._asked: list[int] = []
+        """sides that looks in a row asked for, all larger or all smaller than the present one"""
         self._count = 0
         self._deviation = 0.0
         self._is_renewed = False
@@ -71,9 +71,13 @@ class Grain:
 
     def _look(self, last: Image, image: Image) -> None:
         side, deviation = self._needed(last, image)
-        self._looks = self._looks + 1 if side == self._wanted else 1
-        self._wanted = side
-        if self._count == 0 or self._looks >= (LOOKS_LARGER if side > self._side else LOOKS_SMALLER):
+        if self._asked and (self._asked[-1] > self._side) != (side > self._side):
+            self._asked = []
+        self._asked = [*self._asked, side] if side != self._side else []
+        is_larger = side > self._side
+        if self._count == 0 or len(self._asked) >= (LOOKS_LARGER if is_larger else LOOKS_SMALLER):
+            side = side if self._count == 0 else min(self._asked) if is_larger else max(self._asked)
+            self._asked = []
             # Of larger squares a model that has learnt for long knows the means already.
             self._is_renewed = side < self._side or (self._count == 0 and side > 1)
             self._count = self._count if side == self._side else 0

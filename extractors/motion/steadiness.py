@@ -144,7 +144,7 @@ class Steadiness:
 
     def _wait(self, now: Sight, scale: float) -> View:
         """Wait until the picture stays the same for long enough; longer if it shows another view than the lost one."""
-        if not self._is_at_rest or (self._is_other(now) and not self._has_rested_for(self._config.view_other_s)):
+        if not self._is_settled(now):
             return View(is_kept=False)
         self._memory, self._is_lost = now, False
         self._differs_s = self._kept_s = 0.0
@@ -152,7 +152,7 @@ class Steadiness:
 
     def _other_view(self, now: Sight, scale: float) -> Change | None:
         """That the picture rests at another view than the one that was lost; None also where that is not known yet."""
-        return self._judged(now, scale) if self._is_at_rest else None
+        return self._judged(now, scale) if self._is_settled(now) else None
 
     def _judged(self, now: Sight, scale: float) -> Change | None:
         """That this is another view than the one that was lost; in the dark that stays open."""
@@ -174,12 +174,10 @@ class Steadiness:
             return False
         return not is_same_view(before, now, is_faint=_is_faint(before, now))
 
-    @property
-    def _is_at_rest(self) -> bool:
-        return self._has_rested_for(self._rest_needed_s)
-
-    def _has_rested_for(self, seconds: float) -> bool:
-        return self._rest is not None and self._rest.lasted_s >= seconds
+    def _is_settled(self, now: Sight) -> bool:
+        """Whether the picture has stayed the same for long enough: longer if it shows another view than the lost."""
+        needed_s = max(self._rest_needed_s, self._config.view_other_s if self._is_other(now) else 0.0)
+        return self._rest is not None and self._rest.lasted_s >= needed_s
 
 
 class _Rest:

@@ -185,6 +185,31 @@ def test_an_estimate_waits_until_enough_is_new_and_the_last_one_has_all() -> Non
     assert lasts[0] == lasts[1]
 
 
+def test_who_stands_keeps_nobody_from_looking() -> None:
+    """Points of one place say nothing new; they must not be what new points are measured by."""
+    points = walked(view(20, 3), false_tracks=0).points
+    step_us = 1_000_000 // 10
+    late_us = int(points.time_us.max()) + 2_200_000_000
+    count = 20_000
+    standing = TrackPoints(
+        int(points.time_us.max()) + step_us * np.arange(1, count + 1),
+        np.full(count, 999),
+        np.arange(count),
+        np.tile([300.0, 200.0, 330.0, 290.0], (count, 1)),
+        np.ones(count),
+    )
+    later = replace(points, time_us=points.time_us + late_us, track_id=points.track_id + 100)
+    looks = []
+    for before in (points, points.followed_by(standing)):
+        horizon = Horizon(SIZE, CONFIG.model_copy(update={"update_s": 1.0}))
+        horizon.add(before)
+        times: list[int] = []
+        horizon.on_estimate = _noting(times)
+        horizon.add(later)
+        looks.append(len(times))
+    assert looks[1] >= looks[0] - 1
+
+
 def _noting(times: list[int]) -> Callable[[int, Estimate, bool], None]:
     return lambda time_us, found, is_last: times.append(time_us)
 

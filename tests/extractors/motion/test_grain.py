@@ -93,3 +93,12 @@ def test_smoothing_ends_when_it_was_quiet_for_long() -> None:
         renewed.append(grain.is_renewed)
     assert sum(renewed) == 1
     assert grain.smoothed(quiet[0], 1.0) is quiet[0]
+
+
+def test_noise_near_a_limit_does_not_keep_the_squares_of_the_night() -> None:
+    """Looks ask for now no squares, now small ones: none of them asks for large ones."""
+    grain = Grain(MotionConfig())
+    evening = 5 * [*noisy(1.0, 8), *noisy(5.0, 8)]
+    for picture in [*noisy(16.0), *evening]:
+        grain.smoothed(picture, 1.0)
+    np.testing.assert_array_equal(grain.smoothed(evening[0], 0.0), cv2.medianBlur(evening[0], 3))

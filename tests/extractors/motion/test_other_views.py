@@ -83,6 +83,16 @@ def test_a_lorry_that_stands_before_the_lens_is_waited_for_a_minute(stands_s: in
     assert looked[-1].is_kept
 
 
+@pytest.mark.parametrize("stands_s, found", [(10, []), (70, ["moved"])])
+def test_a_lorry_that_stands_there_when_it_gets_light_is_waited_for_too(stands_s: int, found: list[str]) -> None:
+    street, lorry = view(300), view(1200)
+    night = [dark(street, seed) for seed in range(200)]
+    steadiness = Steadiness(MotionConfig())
+    looked = [steadiness.look(each, 0.5) for each in [street] * 80 + night + [lorry] * 2 * stands_s + [street] * 100]
+    causes = [each.change.cause for each in looked if each.change]
+    assert [cause for cause in causes if cause == "moved"][:1] == found
+
+
 def dark(image: Image, seed: int) -> Image:
     noise = np.random.default_rng(seed).normal(0, 2, image.shape)
     return np.asarray(np.clip(0.003 * image + noise, 0, 255), np.uint8)

@@ -82,13 +82,13 @@ def test_a_log_of_an_older_release_is_brought_up_and_one_of_another_demo_left_al
 
 
 def test_a_log_that_this_release_cannot_open_is_passed_over(public_folder: Path) -> None:
-    newer, other_major = public_folder / "demo", public_folder / "demo-2"
+    newer, other_major = public_folder / "newer", public_folder / "newer-2"
     with open_log(data_dir=newer) as log, psycopg.connect(log.dsn) as connection:
         connection.execute("update alembic_version set version_num = '9999'")
     (other_major / "pg").mkdir(parents=True)
     (other_major / "pg" / "PG_VERSION").write_text("99\n")
     notes: list[str] = []
-    assert folder_for(newer, lambda _: None, notes.append) == public_folder / "demo-3"
+    assert folder_for(newer, lambda _: None, notes.append) == public_folder / "newer-3"
     assert notes[0].startswith(
         f"the log in {newer} is of a newer release, or not of ViAn alone. Nothing is added to it"
     )
