@@ -130,7 +130,8 @@ def standing_calibration(
         if to_position is not None and position > to_position:
             break
         if isinstance(event, SceneChanged):
-            newest, moved_at = None, max(event.time, moved_at or event.time)
+            moved_at = max(event.time, moved_at or event.time)
+            newest = newest if newest is not None and newest.time >= moved_at else None
         elif isinstance(event, CameraCalibrated) and (moved_at is None or event.time >= moved_at):
             newest = event
     return newest

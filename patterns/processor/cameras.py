@@ -13,7 +13,7 @@ How far the log was read for that is a position, too: who reads again from the s
 whatever has been said since.
 """
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 
@@ -154,36 +154,50 @@ class _Camera:
     def _calibrate(self, said: SiteEvent, event: CameraCalibrated) -> None:
         if event.covariance is None:
             views = [part for part in self.parts if part.is_view and (part.by is None or _since(part) <= event.time)]
-            view = max(views, key=lambda part: (part.by is not None, part.began or event.time))
+            view = _newest(views)
             view.given = view.given or said
             return
         for part in self.parts:
-            is_first = part.by is None and part.began is not None and event.time <= part.began
-            if is_first or (part.by is not None and event.time == part.began):
+            if event.time == part.began or (part.by is None and self._is_before_footage(event.time)):
                 part.found = said
+
+    def _is_before_footage(self, time: datetime) -> bool:
+        """Whether it is before the first footage, which no older footage has followed."""
+        began = [_since(part) for part in self.parts if part.by is not None and isinstance(part.by.event, VideoAdded)]
+        return bool(began) and time <= began[0] == min(began)
 
     def word_at(self, position: int) -> SiteEvent | None:
         """What holds there and is said only behind it; None: nothing."""
         begun = [part for part in self.parts if part.by is None or part.by.position <= position]
-        views = [number for number, part in enumerate(begun) if part.is_view]
-        here = begun[views[-1] :]
-        found = [part.found for part in here if part.found is not None]
-        word = found[-1] if found else here[0].given
+        view = _newest([part for part in begun if part.is_view])
+        of_view = [part.found for part in begun if part is view or _is_since(part, view)]
+        found = [each for each in of_view if each is not None]
+        word = max(found, key=lambda each: (each.position, each.sequence)) if found else view.given
         if word is None or word.position <= position:
             return None
-        return word if found or not self._stands_at(position, here[0]) else None
+        return word if found or not self._stands_at(position, view) else None
 
     def _stands_at(self, position: int, view: _Part) -> bool:
         """Whether a calibration of the view was said by then."""
-        after = 0 if view.by is None else view.by.position
-        of_view = (each for each in self.said if after < each.position <= position)
-        return any(view.by is None or each.event.time >= _since(view) for each in of_view)
+        said = (each for each in self.said if each.position <= position)
+        return any(view.by is None or each.event.time >= _since(view) for each in said)
 
     def words_behind(self, position: int) -> Iterator[tuple[EventId, SiteEvent]]:
         """What is learnt with each event behind the position that begins a part."""
         for part in self.parts:
             if part.by is not None and part.by.position > position and part.word is not None:
                 yield part.by.id, part.word
+
+
+def _newest(views: Sequence[_Part]) -> _Part:
+    """Of views in the order of the log the one that began last; of several that began at once the first."""
+    first, *moved = views
+    return max(moved, key=_since, default=first)
+
+
+def _is_since(part: _Part, view: _Part) -> bool:
+    """Whether the part began with the view or later."""
+    return part.by is not None and (view.by is None or _since(part) >= _since(view))
 
 
 def _since(part: _Part) -> datetime:

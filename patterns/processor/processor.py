@@ -110,6 +110,7 @@ class Processor:
         self._segments_skipped = 0
         self._one_by_one_to = 0
         self._recorded_at = datetime(1970, 1, 1, tzinfo=UTC)
+        self._made_at = log.head()
         for rule in rules or ():
             bind(rule, self._readable_by(rule), limits=self._limits.rules)  # what does not fit is told at once
         self._committer = Committer(log, station, self._at, is_recording_ends=rules is None)
@@ -289,13 +290,17 @@ class Processor:
         if not self._is_restored(member):
             if row.position > service.after:
                 member.known = self._identities(service)
-            # What is said of cameras later than this is learnt in its turn, however often the rule begins again.
-            foreknown_to = service.position if self._given is None else self._log.head()
-            rules = self._pass_for(service.after if start is None else start, foreknown_to)
+            rules = self._pass_for(service.after if start is None else start, self._foreknown_to(service))
             try:
                 rules.add(member)
             except Exception as error:  # Whatever it is, the processor begins with the others.
                 self._refuse(service, error, service.position)
+
+    def _foreknown_to(self, service: Service) -> int:
+        """Up to where the log is read for what holds of cameras before its turn, however often the version begins."""
+        known = self._services.get(service.key)
+        is_deployed = known is not None and known.rule_hash == service.rule_hash
+        return service.position if is_deployed else self._made_at
 
     def _member(self, service: Service) -> Member:
         rule = self._rule(service)

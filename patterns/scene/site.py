@@ -5,8 +5,8 @@ the log alone. Rows are judged by what is known when they become final; for each
 line or calibration the site remembers from which event time on rows were judged by it, and which
 event said it, so that a match can name what it was judged by.
 
-A calibration is of the view that its camera had at its time. One from before the newest move is of a view that is no
-more, and is left out; of two that are valid the one that was said last counts.
+A calibration is of the view that its camera had at its time, whichever is said first. One from before the newest move
+is of a view that is no more, and is left out; of two that are valid the one that was said last counts.
 """
 
 import json
@@ -146,10 +146,13 @@ class Site:
             return self._add((source, CALIBRATION), Version(said_of, stream, sequence, from_us, epoch, time_us))
         if not is_move(event):
             return False
-        self.moved_us[source] = max(microseconds(event.time), self.moved_us.get(source, microseconds(event.time)))
-        if self.calibration(source) is not None:
-            self._add((source, CALIBRATION), Version(None, stream, sequence, from_us, epoch))
-        return True
+        moved_us = microseconds(event.time)
+        is_newest = moved_us > self.moved_us.get(source, moved_us - 1)
+        if is_newest:
+            self.moved_us[source] = moved_us
+        if not self._is_calibrated_before(source, moved_us):
+            return is_newest
+        return self._add((source, CALIBRATION), Version(None, stream, sequence, from_us, epoch))
 
     def judged_by(self, name: str, sources: Iterable[str], first_us: int, last_us: int) -> list[Version]:
         """The versions, said by events, that rows of these sources and times (both inclusive) were judged by."""
@@ -183,6 +186,13 @@ class Site:
             for source, name, each in saved["versions"]
         }
         return cls(sizes, versions, dict(saved.get("moved_us", {})))
+
+    def _is_calibrated_before(self, source: str, time_us: int) -> bool:
+        """Whether the source's calibration now is of an earlier time, or of none that is known."""
+        if self.calibration(source) is None:
+            return False
+        since_us = self.versions[source, CALIBRATION][-1].time_us
+        return since_us is None or since_us < time_us
 
     def _add(self, key: tuple[str, str], version: Version) -> bool:
         versions = self.versions.setdefault(key, [])

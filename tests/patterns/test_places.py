@@ -285,13 +285,14 @@ def test_a_site_is_saved_whole() -> None:
 
 def test_metres_end_where_the_camera_is_moved_and_begin_with_its_next_calibration() -> None:
     run = run_of("speed_kmh > 3", "0 s")
-    calibrated = camera_calibrated(homography=json.dumps([[0.1, 0, 0], [0, 0.1, 0], [0, 0, 1]]))
+    calibrated = camera_calibrated(homography=json.dumps([[0.1, 0, 0], [0, 0.1, 0], [0, 0, 1]]), time=BEGINNING)
+    moved_at = BEGINNING + timedelta(seconds=3)
     changes: list[tuple[EventType | None, str]] = [
         (None, ""),
         (calibrated, "camera_calibrated"),
         (scene_changed(cause="unknown"), "scene_changed"),
-        (scene_changed(cause="moved"), "scene_changed"),
-        (calibrated, "camera_calibrated"),
+        (scene_changed(cause="moved", time=moved_at), "scene_changed"),
+        (calibrated.model_copy(update={"time": moved_at}), "camera_calibrated"),
     ]
     found: list[Match] = []
     for second, (event, name) in enumerate(changes):

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from events import PlateRead, SceneChanged, StreamName, VideoAdded, batch_of, encode
+from events import CameraCalibrated, PlateRead, SceneChanged, StreamName, VideoAdded, batch_of, encode
 from patterns import parse_rule
 from patterns.engine.ruleset import RuleSetRun
 from patterns.engine.situations import Narrator
@@ -559,20 +559,75 @@ def test_a_calibration_that_was_found_while_footage_came_does_not_hold_before_it
 
 
 def test_a_calibration_by_hand_holds_for_the_footage_since_the_camera_was_moved_and_not_before(log: Log) -> None:
-    moved = SceneChanged(time=T0, cause="moved", changed_share=1.0, dx=None, dy=None)
+    moved = moved_at(10)
     of_tracks = camera_calibrated(method="tracks", covariance="[]", time=T0 + timedelta(seconds=9))
+    of_later = of_tracks.model_copy(update={"time": T0 + timedelta(seconds=19)})
     first, second = camera_calibrated(time=T0), camera_calibrated(time=T0 + timedelta(hours=1))
     add_video(log, "gate")
     for event in (of_tracks, first, moved):
         say(log, "gate", event)
     at_move = log.head()
-    for event in (of_tracks, second, second):
+    for event in (of_later, second, second):
         say(log, "gate", event)
     assert [each.event for each in known_at(log, 0).said][1:] == [first]
     assert [each.event for each in known_at(log, at_move).said][1:] == [of_tracks, first, moved, second]
     told = {moment: (word.event, word.sequence) for moment, word in known_at(log, 0).words.items()}
     assert told == {(f"{STATION}/gate/scene_changed", 1, 1): (second, 4)}
     assert known_at(log, 0, at_move).words == known_at(log, at_move).words == {}
+
+
+def filmed_from(second: int) -> VideoAdded:
+    time = T0 + timedelta(seconds=second)
+    return VideoAdded(
+        time=time, video="00", path="v", width=100, height=100, fps=5.0, frames_expected=None, codec="h264",
+        started_at=time,
+    )  # fmt: skip
+
+
+def of_tracks_at(second: int, rms_m: float) -> CameraCalibrated:
+    return camera_calibrated(method="tracks", covariance="[]", time=T0 + timedelta(seconds=second), rms_m=rms_m)
+
+
+def test_of_moves_that_were_said_out_of_order_the_newest_is_that_of_the_view(log: Log) -> None:
+    for second in (7, 7, 2):
+        say(log, "gate", moved_at(second))
+    at_moves = log.head()
+    by_hand = camera_calibrated(time=T0 + timedelta(seconds=8))
+    say(log, "gate", by_hand)
+    assert known_at(log, at_moves).said[-1].event == by_hand
+    assert list(known_at(log, 0).words) == [(f"{STATION}/gate/scene_changed", 1, 1)]
+
+
+def test_of_what_was_found_afterwards_of_one_view_the_last_word_is_known(log: Log) -> None:
+    say(log, "gate", filmed_from(0))
+    say(log, "gate", moved_at(5).model_copy(update={"cause": "unknown"}))
+    at_change = log.head()
+    of_part, of_all = of_tracks_at(5, 0.1), of_tracks_at(0, 0.2)
+    say(log, "gate", of_part)
+    say(log, "gate", of_all)
+    assert known_at(log, at_change).said[-1].event == of_all
+
+
+def test_what_is_found_online_of_older_footage_is_not_known_before_its_turn(log: Log) -> None:
+    for said_of in (filmed_from(1000), of_tracks_at(1050, 0.1), filmed_from(0), of_tracks_at(60, 0.2)):
+        say(log, "gate", said_of)
+    known = known_at(log, 0)
+    assert {type(each.event) for each in known.said} == {VideoAdded}
+    assert not known.words
+
+
+def test_a_rule_that_is_added_later_knows_the_newest_move(log: Log) -> None:
+    add_video(log, "gate")
+    processor = Processor(log, STATION, [])
+    for second in (9, 3):
+        say(log, "gate", moved_at(second))
+    processor.catch_up()
+    processor.reload([in_metres("A", "A AS x = 7 AND ground_x(x, y) > -1")])
+    for second in (6, 9):
+        say(log, "gate", camera_calibrated(time=T0 + timedelta(seconds=second)))
+        say(log, "gate", point(1, second + 4, 7), point(1, second + 5, 1))
+    processor.catch_up()
+    assert [(each.began_at - T0).seconds for each in situations(log)] == [13]
 
 
 def in_metres(pattern: str, define: str) -> Rule:
@@ -608,9 +663,11 @@ def test_a_kill_does_not_tell_a_rule_what_was_said_of_the_camera_later(log: Log,
     assert [(each.began_at - T0).seconds for each in situations(log)] == [7]
 
 
-@pytest.mark.parametrize("kill_at", [None, 1, 2, 3, 4])
+@pytest.mark.parametrize(
+    "kill_at, is_given", [(None, False), (1, False), (2, False), (3, False), (4, False), (None, True), (2, True)]
+)
 def test_a_rule_over_the_past_that_is_killed_goes_on_with_what_was_known_when_it_began(
-    log: Log, kill_at: int | None
+    log: Log, kill_at: int | None, is_given: bool
 ) -> None:
     add_video(log, "gate")
     for second in (0, 2, 4):
@@ -618,16 +675,32 @@ def test_a_rule_over_the_past_that_is_killed_goes_on_with_what_was_known_when_it
         if second < 4:
             say(log, "gate", moved_at(second + 1))
     say(log, "gate", camera_calibrated(time=T0 + timedelta(seconds=4)))
-    deployed(log, in_metres("A", "A AS x = 7 AND ground_x(x, y) > -1"), after=0)
+    in_service = in_metres("A", "A AS x = 7 AND ground_x(x, y) > -1")
+    deployed(log, in_service, after=0)
     say(log, "gate", camera_calibrated(time=T0 + timedelta(seconds=2)))  # nobody knew it when the rule began
-    processor = Processor(log, STATION, limits=saved_often(segments=1))
+    rules = [in_service] if is_given else None
+    processor = Processor(log, STATION, rules, limits=saved_often(segments=1))
     for step in range(6):
         if step == kill_at:
-            processor = Processor(log, STATION, limits=saved_often(segments=1))
+            processor = Processor(log, STATION, rules, limits=saved_often(segments=1))
         processor.step()
     say(log, "gate", point(1, 6, 7))
     processor.catch_up()
     assert [(each.began_at - T0).seconds for each in situations(log)] == [4]
+
+
+def test_a_rule_that_is_given_and_begins_again_knows_what_was_known_when_its_processor_was_made(log: Log) -> None:
+    add_video(log, "gate")
+    for second, x in enumerate((7, 80, 1)):
+        say(log, "gate", point(1, second * 30, x))
+    given = in_metres("A", "A AS x = 7 AND ground_x(x, y) > -1")
+    failing = rule("failing", skip="SKIP TO FIRST outside")  # for which all are run again, one by one
+    processor = Processor(log, STATION, [given, failing])
+    say(log, "gate", camera_calibrated(time=T0))
+    say(log, "gate", point(1, 70, 7), point(1, 90, 1))
+    processor.catch_up()
+    assert list(processor.failures) == ["failing"]
+    assert [(each.began_at - T0).seconds for each in situations(log)] == [70]
 
 
 def _breaks_for(name: str, original: Any) -> Any:

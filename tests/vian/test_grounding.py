@@ -318,6 +318,30 @@ def test_what_is_found_of_a_view_that_is_over_is_not_of_the_next(log: Log) -> No
     assert times(log) == ("0000", "0000")
 
 
+def test_a_move_of_older_footage_does_not_end_a_later_calibration(log: Log) -> None:
+    say(log, "gate", video(0, (100, 80)))
+    say(log, "gate", change(5))
+    say(log, "gate", given(6))
+    pass_by(log, 7)
+    say(log, "gate", change(3))
+    assert standing_calibration(log, STATION, "gate") == given(6)
+    pass_by(log, 8)
+    assert times(log) == ("55", "55")
+    say(log, "gate", change(9))
+    assert standing_calibration(log, STATION, "gate") is None
+    pass_by(log, 10)
+    assert times(log) == ("55.", "55.")
+
+
+def test_moves_of_one_time_begin_one_view(log: Log) -> None:
+    say(log, "gate", video(0, (100, 80)))
+    for _ in range(2):
+        say(log, "gate", change(3))
+    pass_by(log, 4)
+    say(log, "gate", given(5))
+    assert times(log) == ("5", "5")
+
+
 def test_epochs_begin_their_sequences_anew_and_are_not_taken_for_each_other(make_log: MakeLog) -> None:
     first = make_log()
     say(first, "gate", video(0, (100, 80)))
