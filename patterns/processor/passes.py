@@ -236,10 +236,11 @@ class Pass:
             elif len(part) and member.failure is None and member.metres.asks(source, in_metres):
                 if source not in member.uncalibrated:
                     logger.warning(
-                        "rule %s version %d asks for metres of source %s, not calibrated yet: till then it finds none. "
-                        "Next: vian zones calibrate %s POINTS.yaml --station %s, let people pass while its extraction "
-                        "runs, or leave the source out in the rule's FROM",
-                        member.rule.rule, member.rule.version, source, source, part.segment.stream.station,
+                        "rule %s version %d asks for metres of source %s, which has no calibration from %s on: there "
+                        "it finds none. Next: vian zones calibrate %s POINTS.yaml --station %s, let people pass while "
+                        "its extraction runs, or leave the source out in the rule's FROM",
+                        member.rule.rule, member.rule.version, source, part.segment.header.time_min, source,
+                        part.segment.stream.station,
                         extra={"kind": UNCALIBRATED},
                     )  # fmt: skip
                 member.uncalibrated[source] = member.uncalibrated.get(source, 0) + len(part)

@@ -242,7 +242,7 @@ def test_the_square_shows_its_horizon_its_camera_and_speeds(
 ) -> None:
     write(SQUARE, tmp_path / "square.mp4")
     summary = stage.run(Clip(tmp_path / "square.mp4", Origin.SQUARE, None))
-    assert "not calibrated yet" not in caplog.text, "that metres come later is meant"
+    assert "has no calibration" not in caplog.text, "that metres come later is meant"
     (found,) = summary.cameras
     assert found.horizon is not None
     assert error_of(found.horizon, Horizon(*SQUARE.camera.horizon), SQUARE.width, SQUARE.height) < 0.05
