@@ -193,9 +193,10 @@ def test_whoever_interrupts_a_start_leaves_no_server(data_dir: Path, number: int
     with open_log(data_dir=data_dir):
         pass
     program = (
-        "import pathlib, signal, threading, store; signal.signal(signal.SIGTERM, signal.default_int_handler); "
+        "import pathlib, signal, threading, time, store; signal.signal(signal.SIGTERM, signal.default_int_handler); "
         "threading.Thread(target=threading.Event().wait, daemon=True).start(); "  # it may take the signal
-        f"store.open_log(data_dir=pathlib.Path({str(data_dir)!r}))"
+        f"log = store.open_log(data_dir=pathlib.Path({str(data_dir)!r}))\n"
+        "while True: time.sleep(0.05)"  # who is faster than the signal waits for it
     )
     process = psutil.Popen([sys.executable, "-c", program], cwd=ROOT, start_new_session=True, stderr=subprocess.PIPE)
     while not is_running(data_dir):
